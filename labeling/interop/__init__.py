@@ -1,0 +1,1 @@
+"""Foreign label formats, one file each."""

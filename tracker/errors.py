@@ -1,0 +1,47 @@
+"""Everything that can go wrong because of an input, by what it is about.
+
+A message is one line that says what was expected and what came; the command line prints it
+and exits with `exit_status`. Bugs are ordinary exceptions and keep their traceback.
+"""
+
+
+class BendtrackError(Exception):
+    """An input that cannot be used. Base of every error that is the user's to mend."""
+
+    exit_status = 2
+
+
+class ProjectError(BendtrackError):
+    """A project folder or its bendtrack.toml is missing, malformed or inconsistent."""
+
+
+class VideoError(BendtrackError):
+    """A file is not a video that can be read, or a video cannot be written."""
+
+
+class LabelError(BendtrackError):
+    """Labels are missing, malformed, or do not fit the project or its images."""
+
+
+class AngleError(BendtrackError):
+    """An angle definition is unknown or does not fit the keypoints it is given."""
+
+
+class ResultsError(BendtrackError):
+    """A results file is missing, malformed or not written by bendtrack."""
+
+
+class WeightsError(BendtrackError):
+    """Starting weights cannot be found, downloaded or fitted to the network."""
+
+
+class CheckpointError(BendtrackError):
+    """A trained network's file is missing, damaged or of another version."""
+
+
+class TrainingError(BendtrackError):
+    """Training cannot start or cannot go on (too few labels, a loss that is not finite)."""
+
+
+class BendtrackWarning(UserWarning):
+    """Something was worked around; the results say where."""

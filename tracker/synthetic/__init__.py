@@ -1,0 +1,1 @@
+"""Rendered actuators with exact truth."""

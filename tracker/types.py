@@ -1,0 +1,108 @@
+"""The words that all parts share: frozen dataclasses of arrays, flags, and the Detector protocol.
+
+Glossary (holds everywhere in bendtrack; a docstring only says where it differs)
+
+image       RGB uint8 (H, W, 3), as displayed: the container's rotation is already applied.
+position    float px, (x, y), x right, y down. (0, 0) is the *centre* of the top-left pixel, always of
+            the full decoded frame, whatever was cropped or resized inside.
+K, T, N     number of keypoints (in the project's order), of frames of a video, of frames of a batch.
+time_s      seconds from the first frame's presentation time; never frame / fps.
+angle_deg   degrees; sign and definition in `angle.py`. pressure_kpa: kPa.
+likelihood  in [0, 1].
+covariance  px^2, (..., 2, 2), of a position.
+missing     NaN, and a `Flag` that says why.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.floating[Any]]
+ImageArray = NDArray[np.uint8]
+
+
+class Flag(StrEnum):
+    """Why a row of an angle table is missing or to be doubted. One flag a row, the first that applies.
+
+    NONE                the row is sound (an empty cell in the table)
+    UNDECODABLE         the frame could not be decoded: everything but its time is NaN
+    COINCIDENT_POINTS   two neighbouring points of the angle's chain fall together: the angle is NaN
+    OUT_OF_FRAME        a keypoint of the angle lies outside the frame: positions kept, angle NaN
+    LOW_LIKELIHOOD      a keypoint of the angle has a likelihood under the threshold: all values kept
+    """
+
+    NONE = ""
+    UNDECODABLE = "undecodable"
+    COINCIDENT_POINTS = "coincident_points"
+    OUT_OF_FRAME = "out_of_frame"
+    LOW_LIKELIHOOD = "low_likelihood"
+
+
+@dataclass(frozen=True)
+class Detections:
+    """What a detector found in a batch of frames.
+
+    Attributes
+    ----------
+    xy : (N, K, 2) float64, px of the full frame
+    likelihood : (N, K) float64 in [0, 1]
+    covariance : (N, K, 2, 2) float64, px^2
+    """
+
+    xy: FloatArray
+    likelihood: FloatArray
+    covariance: FloatArray
+
+    def __post_init__(self) -> None:
+        n, k = self.likelihood.shape
+        if self.xy.shape != (n, k, 2) or self.covariance.shape != (n, k, 2, 2):
+            raise ValueError(
+                f"expected xy (N, K, 2), likelihood (N, K), covariance (N, K, 2, 2), "
+                f"got {self.xy.shape}, {self.likelihood.shape}, {self.covariance.shape}"
+            )
+
+
+class Detector(Protocol):
+    """Anything that finds keypoints in frames: a network, a compiled engine, an oracle in a test."""
+
+    @property
+    def keypoints(self) -> tuple[str, ...]:
+        """Names of the K keypoints, in the order of the arrays."""
+
+    @property
+    def batch_size(self) -> int:
+        """How many frames it likes to be given at once."""
+
+    @property
+    def provenance(self) -> Mapping[str, Any]:
+        """JSON-ready settings and hashes: two detectors with equal provenance give equal detections."""
+
+    def detect(self, frames: ImageArray) -> Detections:
+        """Find the keypoints in RGB frames, uint8 (N, H, W, 3). N may be smaller than `batch_size`."""
+
+
+@dataclass(frozen=True)
+class LabelledFrame:
+    """One frame with the points that a person clicked on it.
+
+    Attributes
+    ----------
+    video : stem of the video it comes from (its folder in labeled-data/)
+    image_path : the extracted picture, an existing file
+    xy : (K, 2) float64 px, NaN where a keypoint is not labelled
+    actuator : which actuator it shows; labels of one actuator train and are judged together
+    frame : index of the frame in its video, None when the file name does not tell
+    """
+
+    video: str
+    image_path: Path
+    xy: FloatArray
+    actuator: str
+    frame: int | None = None
