@@ -1,0 +1,73 @@
+"""Writing a file so that it is whole or not there: temporary file, fsync, rename.
+
+Every file that bendtrack writes goes through here. What is in the file is the caller's business.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+
+@contextmanager
+def atomic_path(path: str | Path) -> Iterator[Path]:
+    """Yield a temporary path in the folder of `path`; what is written there becomes `path` on success.
+
+    The temporary name begins with a dot and ends in the suffix of `path` (writers such as OpenCV and FFmpeg
+    choose their format by it). When the block ends well, the file and then its folder are flushed to disk
+    around the rename, so a crash or a full disk leaves the old file or the new one. If the block raises, the
+    temporary file is removed and `path` stays as it was. A process killed on the spot may leave the temporary
+    file behind; whoever lists a folder skips names that begin with a dot.
+
+    A symbolic link is followed: its target is replaced, the link stays.
+
+    Raises
+    ------
+    OSError
+        As it came (missing or read-only folder, full disk).
+    """
+    target = Path(os.path.realpath(path))
+    # The stem is cut so that the name stays under the usual 255 bytes.
+    temporary = target.with_name(f".{target.stem[:40]}.{secrets.token_hex(6)}.tmp{target.suffix}")
+    try:
+        yield temporary
+        _fsync_file(temporary)
+        os.replace(temporary, target)
+    except BaseException:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        raise
+    _fsync_folder(target.parent)
+
+
+def atomic_write_text(path: str | Path, text: str) -> None:
+    """Write `text` as UTF-8 with its newlines as they are, whole or not at all (see `atomic_path`)."""
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8", newline="")
+
+
+def atomic_write_bytes(path: str | Path, data: bytes) -> None:
+    """Write `data`, whole or not at all (see `atomic_path`)."""
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(data)
+
+
+def _fsync_file(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDWR)  # Windows flushes only what is open for writing
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _fsync_folder(folder: Path) -> None:
+    """Make the rename itself durable, where the system can open a folder (Windows cannot)."""
+    with suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
