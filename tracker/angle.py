@@ -1,4 +1,4 @@
-"""The bending angle: four named definitions from keypoints, with sign and uncertainty, for all frames at once.
+"""The bending angle: four named definitions from keypoints, with sign and uncertainty.
 
 The circular-arc fit itself is in `arc_fit.py`; which definition a project uses, in `project.py`.
 
@@ -17,8 +17,8 @@ The definitions
 two-vector   p1 p2 ... p(k-1) pk, k >= 4: the turn from p2 - p1 to pk - p(k-1), summed along the chain
              (the paper's angle, section Vision; points in between make the sum safer).
 three-point  p1 p2 p3: the turn at p2, so 180 minus the inner angle, with a sign.
-chord        p1 p2 ... pk, k >= 3: twice the turn from the base tangent p2 - p1 to the chord pk - p2. Exact for
-             an arc that starts at p2 along p2 - p1 (tangent-chord theorem). Points in between are not used.
+chord        p1 p2 ... pk, k >= 3: twice the turn from the base tangent p2 - p1 to the chord pk - p2. Exact
+             for an arc that starts at p2 along p2 - p1 (tangent-chord theorem). Points between are not used.
 arc-fit      k >= 3: a circle is fitted to all points; the turn of its tangent from the first to the last.
 """
 
@@ -198,8 +198,8 @@ def sign_from_labels(xy: FloatArray, keypoints: Sequence[str], definition: Angle
 def end_vector_px(xy: FloatArray, keypoints: Sequence[str], definition: AngleDefinition) -> float:
     """Length of the shorter of the two end vectors of the chain, each as its median over the frames, in px.
 
-    The longer it is, the less an error of a point turns it. For `chord` the second vector is the chord. NaN when
-    no frame has the points of one of them.
+    The longer it is, the less an error of a point turns it. For `chord` the second vector is the chord.
+    NaN when no frame has the points of one of them.
     """
     points = _chain(xy, keypoints, definition)
     last_start = 1 if definition.name == "chord" else -2
