@@ -27,8 +27,8 @@ FINGER = ("base_1", "base_2", "mid", "tip_1", "tip_2")
 def finger(bend_deg: np.ndarray, heading_deg: float = 0.0) -> np.ndarray:
     """A clamped finger (T, 5, 2): straight clamp, arc of 200 px, straight tip. Made without the angle module.
 
-    It leaves the clamp along `heading_deg` and bends towards +y for a positive bend. Integrated in small steps:
-    no formula of a circle is shared with the code under test.
+    It leaves the clamp along `heading_deg`, bends towards +y for a positive bend. Integrated in small steps: no
+    formula of a circle is shared with the code under test.
     """
     steps = 4000
     out = []
