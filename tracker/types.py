@@ -35,6 +35,7 @@ class Flag(StrEnum):
     UNDECODABLE         the frame could not be decoded: everything but its time is NaN
     COINCIDENT_POINTS   two neighbouring points of the angle's chain fall together: the angle is NaN
     OUT_OF_FRAME        a keypoint of the angle lies outside the frame: positions kept, angle NaN
+    DAMAGED             the picture was decoded from a frame that could not be decoded: all values kept
     LOW_LIKELIHOOD      a keypoint of the angle has a likelihood under the threshold: all values kept
     """
 
@@ -42,6 +43,7 @@ class Flag(StrEnum):
     UNDECODABLE = "undecodable"
     COINCIDENT_POINTS = "coincident_points"
     OUT_OF_FRAME = "out_of_frame"
+    DAMAGED = "damaged"
     LOW_LIKELIHOOD = "low_likelihood"
 
 

@@ -1,0 +1,175 @@
+"""Opening a video file and reading what its container says of it: stream, claims, orientation.
+
+What it says is hearsay until the frames have been decoded (`decoding.py`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import av
+import numpy as np
+from av.container import InputContainer
+from av.sidedata.sidedata import Type as SideDataType
+from av.stream import Disposition
+
+from .errors import VideoError
+from .types import ImageArray
+
+# Pictures and text, which FFmpeg would open as a "video" of one frame.
+_NOT_VIDEO_FORMATS = ("_pipe", "image2", "tty")
+
+
+@dataclass(frozen=True)
+class Orientation:
+    """How a decoded picture is turned to be shown: transposed first, then flipped."""
+
+    transpose: bool = False
+    flip_x: bool = False
+    flip_y: bool = False
+
+    def apply(self, image: ImageArray) -> ImageArray:
+        """Turn (H, W, 3) as decoded into the picture as displayed, contiguous."""
+        if self.transpose:
+            image = image.swapaxes(0, 1)
+        return np.ascontiguousarray(image[:: -1 if self.flip_y else 1, :: -1 if self.flip_x else 1])
+
+
+@contextmanager
+def open_video(path: Path, threads: int) -> Iterator[tuple[InputContainer, av.VideoStream]]:
+    """Open a file and its first video stream that is not a cover picture, ready to decode.
+
+    Raises
+    ------
+    VideoError
+        The file is missing, a folder, empty, not a video, or has no video stream.
+    """
+    container = _open(path)
+    try:
+        stream = _video_stream(container, path)
+        context = stream.codec_context
+        # Whole frames in parallel, never slices: with slice threads FFmpeg (8, H.264) neither conceals nor
+        # reports errors, and hands out garbage as sound.
+        context.thread_count = threads
+        context.thread_type = "FRAME"
+        context.copy_opaque = True
+        if context.name == "mjpeg":
+            # Finds most flipped bits instead of few. Every frame stands alone, so nothing else is lost; the
+            # other codecs mark what they conceal without it.
+            context.options = {**context.options, "err_detect": "explode"}
+        yield container, stream
+    finally:
+        container.close()
+
+
+def _open(path: Path) -> InputContainer:
+    if not path.exists():
+        raise VideoError(f"{path}: no such file")
+    if path.is_dir():
+        raise VideoError(f"{path}: expected a video file, got a folder")
+    if path.stat().st_size == 0:
+        raise VideoError(f"{path}: the file is empty")
+    try:
+        # Absolute, so that a colon in the name is not taken for a protocol; files only, so that no playlist
+        # reaches for the network.
+        container = av.open(str(path.absolute()), options={"protocol_whitelist": "file"})
+    except av.InvalidDataError as error:
+        raise VideoError(f"{path}: not a video, or cut off before its index was written") from error
+    except (av.FFmpegError, OSError, ValueError) as error:
+        raise VideoError(f"{path}: cannot be opened ({reason(error)})") from error
+    name = container.format.name
+    if any(word in name for word in _NOT_VIDEO_FORMATS):
+        container.close()
+        raise VideoError(f"{path}: expected a video, got a picture or text (FFmpeg takes it for {name})")
+    return container
+
+
+def _video_stream(container: InputContainer, path: Path) -> av.VideoStream:
+    for stream in container.streams.video:
+        if not stream.disposition & Disposition.attached_pic:
+            if stream.codec_context is None:
+                raise VideoError(f"{path}: no decoder for the codec of its video stream")
+            return stream
+    kinds = ", ".join(sorted({stream.type for stream in container.streams.get()})) or "nothing"
+    raise VideoError(f"{path}: expected a video stream, found only {kinds}")
+
+
+def first_picture(container: InputContainer, stream: av.VideoStream, path: Path) -> av.VideoFrame:
+    """The first sound picture, for size and orientation.
+
+    Raises
+    ------
+    VideoError
+        There is none in the whole file.
+    """
+    packets = container.demux(stream)
+    packet: av.Packet | None
+    while True:
+        try:
+            packet = next(packets, None)
+        except av.FFmpegError:  # the file ends here
+            packet = None
+        if packet is not None and packet.size == 0:
+            continue
+        try:
+            pictures = stream.codec_context.decode(packet)
+        except av.FFmpegError:
+            pictures = []
+        for picture in pictures:
+            if not picture.is_corrupt:
+                return picture
+        if packet is None:
+            raise VideoError(f"{path}: holds no frame that can be decoded ({stream.codec_context.name})")
+
+
+def orientation(picture: av.VideoFrame) -> tuple[Orientation, int, str | None]:
+    """How a picture is to be turned, by the display matrix that the container gave it.
+
+    The matrix takes a decoded (x, y) to the displayed (a x + c y, b x + d y). Only quarter turns and
+    mirrors are applied, which keep pixels whole.
+
+    Returns
+    -------
+    orientation, the counterclockwise turn in degrees, a warning or None
+    """
+    matrix = picture.side_data.get(SideDataType.DISPLAYMATRIX)
+    if matrix is None:
+        return Orientation(), 0, None
+    a, b, _, c, d = np.frombuffer(bytes(matrix), np.int32)[:5] / 65536
+    turn = round(picture.rotation)
+    if max(abs(b), abs(c)) < 1e-3 * max(abs(a), abs(d)):
+        return Orientation(False, bool(a < 0), bool(d < 0)), turn, None
+    if max(abs(a), abs(d)) < 1e-3 * max(abs(b), abs(c)):
+        return Orientation(True, bool(c < 0), bool(b < 0)), turn, None
+    return Orientation(), 0, f"the file asks for a turn of {turn} degrees, not a quarter turn: not applied"
+
+
+def claimed_frames(stream: av.VideoStream) -> int | None:
+    """The container's word: its own counter, or the tag that some Matroska writers leave; None without."""
+    if stream.frames:
+        return int(stream.frames)
+    for tag, value in stream.metadata.items():
+        if tag.upper().startswith("NUMBER_OF_FRAMES") and value.isdigit():
+            return int(value)
+    return None
+
+
+def claimed_duration_s(container: InputContainer, stream: av.VideoStream) -> float | None:
+    """Length of the video stream in s according to the container, None where it does not say."""
+    if stream.duration is not None and stream.time_base:
+        return float(stream.duration * stream.time_base)
+    for tag, value in stream.metadata.items():  # Matroska: 00:00:04.000000000
+        if tag.upper() == "DURATION" and value.count(":") == 2:
+            hours, minutes, seconds = value.split(":")
+            return 3600 * int(hours) + 60 * int(minutes) + float(seconds)
+    if container.duration is not None and len(container.streams) == 1:
+        return float(container.duration / av.time_base)
+    return None
+
+
+def reason(error: Exception) -> str:
+    """Why FFmpeg or the system refused, in a few words."""
+    return getattr(error, "strerror", None) or str(error) or type(error).__name__

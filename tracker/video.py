@@ -1,0 +1,229 @@
+"""Reading video: every frame in order, as displayed, with its presentation time; what is missing is said.
+
+How a damaged stream is accounted for is in `decoding.py`; what a container says in `container.py`; writing
+video in `video_writer.py`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Generator
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from pathlib import Path
+from types import TracebackType
+
+import av
+import numpy as np
+
+from .container import Orientation, claimed_duration_s, claimed_frames, first_picture, open_video, orientation
+from .decoding import Decoding, Row
+from .errors import VideoError
+from .types import FloatArray, ImageArray
+
+# A pause so many times the usual frame interval is worth a word: lost frames look like this.
+_PAUSE_INTERVALS = 4
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One frame of a video.
+
+    Attributes
+    ----------
+    index : 0 for the first frame; frames that could not be decoded count
+    time_s : seconds from the first frame, from presentation times
+    decoded : the picture as the decoder gave it (mostly YUV, not turned); None if it could not be decoded
+    orientation : how `decoded` is turned to be displayed
+    damaged : decoded without error, but from a frame that could not be decoded
+    """
+
+    index: int
+    time_s: float
+    decoded: av.VideoFrame | None
+    orientation: Orientation
+    damaged: bool = False
+
+    @cached_property
+    def image(self) -> ImageArray | None:
+        """RGB uint8 (H, W, 3) as displayed, None if undecodable. Converted when first asked for."""
+        if self.decoded is None:
+            return None
+        return self.orientation.apply(self.decoded.to_ndarray(format="rgb24"))
+
+
+class Video:
+    """A video file, read from its first frame to its last.
+
+    Iterating yields a `Frame` for every frame. It can be repeated and starts anew each time; nothing stays
+    open in between. `warnings` and `complete` tell about the latest iteration, and are whole once it has
+    ended.
+
+    Parameters
+    ----------
+    path : the video file
+    threads : decoding threads; one decodes 640 x 480 H.264 at more than 1000 frames/s
+
+    Attributes
+    ----------
+    path : Path
+    size_wh : (width, height) in px as displayed
+    claimed_frames : number of frames according to the container, None where it does not say
+    frame_rate : mean frames/s according to the container, None where it does not say; for display only
+    codec : FFmpeg's name of the codec
+    rotation_deg : counterclockwise turn that the file asks for, and that is applied
+    warnings : what the user should know, a line each
+    complete : False when frames are missing, undecodable or damaged
+
+    Raises
+    ------
+    VideoError
+        The file is missing, a folder, empty, not a video, has no video stream or no frame that can be
+        decoded.
+    """
+
+    def __init__(self, path: str | Path, *, threads: int = 1) -> None:
+        self.path = Path(path)
+        self._threads = threads
+        self._standing_warnings: list[str] = []
+        with open_video(self.path, threads) as (container, stream):
+            self.codec: str = stream.codec_context.name
+            self.claimed_frames = claimed_frames(stream)
+            self._claimed_duration_s = claimed_duration_s(container, stream)
+            rate = stream.average_rate or stream.guessed_rate
+            self.frame_rate = float(rate) if rate else None
+            self._nominal_rate = (
+                Fraction(rate) if rate else Fraction(25)
+            )  # 25 is FFmpeg's own for streams without
+            self._counts_slots = container.format.name == "avi"
+            picture = first_picture(container, stream, self.path)
+            self._orientation, self.rotation_deg, warning = orientation(picture)
+            if warning:
+                self._standing_warnings.append(warning)
+            if stream.sample_aspect_ratio not in (None, 0, 1):
+                self._standing_warnings.append(
+                    f"pixels are not square (aspect {stream.sample_aspect_ratio}): positions and angles are "
+                    "those of the picture as stored"
+                )
+        self._picture_wh = (picture.width, picture.height)
+        self.size_wh = self._picture_wh[::-1] if self._orientation.transpose else self._picture_wh
+        self.warnings = list(self._standing_warnings)
+        self.complete = True
+
+    def __enter__(self) -> Video:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Each iteration closes its own file."""
+
+    def __iter__(self) -> Generator[Frame, None, None]:
+        self.warnings, self.complete = list(self._standing_warnings), True
+        times: list[float] = []
+        undecodable_s: list[float] = []
+        n_damaged = 0
+        with open_video(self.path, self._threads) as (container, stream):
+            decoding = Decoding(container, stream, self._picture_wh)
+            start: int | None = None
+            for row in decoding.rows():
+                start = row.stamp if start is None else start
+                time_s = self._time_s(row, len(times), start, stream.time_base)
+                times.append(time_s)
+                if row.picture is None:
+                    undecodable_s.append(time_s)
+                n_damaged += row.damaged
+                yield Frame(len(times) - 1, time_s, row.picture, self._orientation, row.damaged)
+        if undecodable_s:
+            self._incomplete(
+                f"{len(undecodable_s)} of {len(times)} frames could not be decoded, "
+                f"the first at {undecodable_s[0]:.3f} s"
+            )
+        if n_damaged:
+            self._incomplete(f"{n_damaged} frames were decoded from frames that could not be decoded")
+        for problem in decoding.problems:
+            self._incomplete(problem)
+        self._compare_with_claims(np.array(times), decoding.n_hidden)
+
+    def _time_s(self, row: Row, index: int, start: int | None, time_base: Fraction) -> float:
+        if row.stamp is not None and start is not None:
+            return float((row.stamp - start) * time_base)
+        if index == 0:
+            self.warnings.append(
+                "the file holds no presentation times: "
+                f"they are counted at {float(self._nominal_rate):g} frames/s"
+            )
+        return float(index / self._nominal_rate)
+
+    def _incomplete(self, warning: str) -> None:
+        self.complete = False
+        self.warnings.append(warning)
+
+    def _compare_with_claims(self, times: FloatArray, n_hidden: int) -> None:
+        steps = np.diff(times)
+        usual_s = float(np.median(steps)) if len(steps) else float(1 / self._nominal_rate)
+        end_s = float(times[-1]) + usual_s if len(times) else 0.0
+        n_found = len(times)
+        if self._counts_slots:  # an AVI counts the slots in which its recorder dropped a frame, too
+            n_found = round(end_s * self._nominal_rate)
+        if self.claimed_frames is not None:
+            if self.claimed_frames not in (n_found, n_found + n_hidden):
+                verdict = (
+                    "it is cut short or damaged" if n_found < self.claimed_frames else "its header is wrong"
+                )
+                self._incomplete(
+                    f"the file claims {self.claimed_frames} frames, {n_found} were found: {verdict}"
+                )
+        elif (self._claimed_duration_s or 0.0) - end_s > max(0.1, _PAUSE_INTERVALS * usual_s):
+            self._incomplete(
+                f"the video ends at {end_s:.3f} s, its header says {self._claimed_duration_s:.3f} s: "
+                "it is cut short"
+            )
+        n_backward = int(np.sum(steps <= 0))
+        if n_backward:
+            self.warnings.append(f"presentation times do not increase at {n_backward} frames")
+        pauses = np.flatnonzero(steps > _PAUSE_INTERVALS * usual_s)
+        if len(pauses):
+            longest = pauses[np.argmax(steps[pauses])]
+            warning = (
+                f"no frame for {steps[longest]:.3f} s after {times[longest]:.3f} s, where one usually comes "
+                f"every {usual_s:.3f} s ({len(pauses)} such pause{'s' if len(pauses) > 1 else ''})"
+            )
+            if self.claimed_frames is None:
+                self._incomplete(warning)  # nothing counts the frames, so they may be lost
+            else:
+                self.warnings.append(warning)  # all there, so the camera paused
+
+
+def read_frame(path: str | Path, index: int) -> ImageArray:
+    """The frame with this index as RGB uint8 (H, W, 3), found by decoding from the start.
+
+    Raises
+    ------
+    VideoError
+        The file cannot be read, has no such frame, or the frame cannot be decoded.
+    """
+    n_frames = 0
+    for frame in Video(path):
+        n_frames += 1
+        if frame.index == index:
+            if frame.image is None:
+                raise VideoError(f"{path}: frame {index} cannot be decoded")
+            return frame.image
+    raise VideoError(f"{path}: expected a frame index from 0 to {n_frames - 1}, got {index}")
+
+
+def video_stem(path: str | Path) -> str:
+    """Name of a video without folder and suffix, by which its labels and results are named.
+
+    >>> video_stem("rig/original 0.25Hz.mp4")
+    'original 0.25Hz'
+    """
+    return Path(path).stem
+
+
+def file_sha256(path: str | Path) -> str:
+    """SHA-256 of a file as hexadecimal digits; the file is read in pieces."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
