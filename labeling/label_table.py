@@ -4,8 +4,8 @@ Where such files lie and what they mean for a project is in `store.py`. The csv 
 which loses a first row that is all empty and keeps no cell as it stood.
 
 The file has three header rows (scorer, bodyparts, coords), then a row for every image. One column names
-the image in older files (`labeled-data/<video>/img005.png`), three do in newer ones (`labeled-data`, `<video>`,
-`img005.png`). An empty cell is a point that is not labelled.
+the image in older files (`labeled-data/<video>/img005.png`), three do in newer ones (`labeled-data`,
+`<video>`, `img005.png`). An empty cell is a point that is not labelled.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ def read_label_table(path: Path, scorer: str | None = None) -> LabelTable:
         raise LabelError(f"{path}: expected labels of one animal or actuator, got a multi-animal file")
     if heads != _HEADERS:
         raise LabelError(
-            f"{path}: expected a DeepLabCut label file whose first rows begin with scorer, bodyparts, coords, "
+            f"{path}: expected a label file whose first rows begin with scorer, bodyparts, coords, "
             f"got {', '.join(repr(head[:30]) for head in heads) or 'an empty file'}"
         )
     first = 1

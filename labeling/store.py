@@ -1,7 +1,7 @@
 """The labels of a project: labeled-data/<video stem>/ with images and CollectedData_<scorer>.csv beside them.
 
-The form of the CSV itself is in `label_table.py`. One file for each video, replaced whole: who reads while another
-writes sees the labels before or after, never half of them.
+The form of the CSV itself is in `label_table.py`. One file for each video, replaced whole: who reads while
+another writes sees the labels before or after, never half of them.
 """
 
 from __future__ import annotations
@@ -157,14 +157,12 @@ class LabelStore:
         text = format_label_table(sorted_rows(rows.values()), bodyparts, video, self.scorer)
         atomic_write_text(self.csv_path(video), text)
 
-    def add_image(self, video: str, frame: int, image: ImageArray) -> Path:
-        """Save a frame of a video (RGB uint8 (H, W, 3)) as a picture to label, and give its path."""
-        coded, data = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
+    def add_image(self, video: str, name: str, image: ImageArray) -> Path:
+        """Save a frame of a video (RGB uint8 (H, W, 3)) under a name (see `image_name`); its path."""
+        path = self.labels_dir / video / name
+        coded, data = cv2.imencode(path.suffix, cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
         if not coded:
-            raise LabelError(
-                f"frame {frame} of {video}: expected a picture that PNG can hold, got {image.shape}"
-            )
-        path = self.labels_dir / video / image_name(frame)
+            raise LabelError(f"{path}: expected a picture that can be saved, got {image.shape}")
         path.parent.mkdir(parents=True, exist_ok=True)
         atomic_write_bytes(path, data.tobytes())
         return path
@@ -195,6 +193,13 @@ def frame_index(image: str) -> int | None:
     """
     found = re.fullmatch(r"img(\d+)\.\w+", image)
     return int(found[1]) if found else None
+
+
+def image_size_wh(path: Path) -> tuple[int, int] | None:
+    """(width, height) in px of a picture, None where the file does not open as one."""
+    data = np.frombuffer(path.read_bytes(), np.uint8)
+    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    return None if image is None else (image.shape[1], image.shape[0])
 
 
 def label_files(folder: Path) -> list[Path]:

@@ -18,7 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bendtrack.labeling.label_table import LabelRow, format_label_table, read_label_table
-from bendtrack.labeling.store import LabelStore
+from bendtrack.labeling.store import LabelStore, image_name
 from bendtrack.tracker.errors import LabelError
 from bendtrack.tracker.project import Project
 
@@ -245,7 +245,7 @@ def test_nothing_labelled_yet(tmp_path: Path) -> None:
     store = LabelStore.of(project)
     assert store.read() == []
     assert store.videos() == []
-    path = store.add_image("trial 1.5Hz", 42, np.full((4, 6, 3), (255, 0, 0), np.uint8))
+    path = store.add_image("trial 1.5Hz", image_name(42), np.full((4, 6, 3), (255, 0, 0), np.uint8))
     assert path.name == "img00042.png"
     assert cv2.imread(str(path))[0, 0].tolist() == [0, 0, 255]  # red, in OpenCV's order
     assert store.read() == []

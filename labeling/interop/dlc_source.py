@@ -1,0 +1,185 @@
+"""Finding what a DeepLabCut project, a labeled-data folder or a label file holds, before any of it is used.
+
+What is taken over from it, and how, is in `dlc.py`.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ...tracker.errors import LabelError
+from ..label_table import LabelRow, LabelTable, read_label_table
+from ..store import label_files
+
+# The folders that DeepLabCut's check_labels fills with pictures on which the labels are drawn.
+_DRAWN_SUFFIX = "_labeled"
+
+
+@dataclass(frozen=True)
+class SourceVideo:
+    """The labelled pictures of one video.
+
+    Attributes
+    ----------
+    video : name of the folder, the video's stem
+    folder : where the pictures are looked for; need not exist when the video itself is given
+    rows : the rows of its label files as they stand, the source's own scorer first
+    """
+
+    video: str
+    folder: Path
+    rows: tuple[LabelRow, ...]
+
+
+@dataclass(frozen=True)
+class Source:
+    """What there is to import.
+
+    Attributes
+    ----------
+    path : as it was given
+    keypoints : body parts, in the order of config.yaml or else of the label files
+    scorer : of config.yaml, None without one
+    videos : with labels
+    warnings : what was passed over and why
+    """
+
+    path: Path
+    keypoints: tuple[str, ...]
+    scorer: str | None
+    videos: tuple[SourceVideo, ...]
+    warnings: tuple[str, ...]
+
+
+def open_source(path: str | Path) -> Source:
+    """Look into a DeepLabCut project, a folder with labeled-data/, such a folder itself, or a label file.
+
+    Raises
+    ------
+    LabelError
+        None of these, no labels in it, a multi-animal project, or a malformed file.
+    """
+    path = Path(path)
+    if path.is_file():
+        table = _read(path, None)
+        by_video: dict[str, list[LabelRow]] = defaultdict(list)
+        for row in table.rows:
+            by_video[row.video or path.resolve().parent.name].append(row)
+        videos = [
+            SourceVideo(video, _pictures_of(path, video), tuple(rows)) for video, rows in by_video.items()
+        ]
+        return _checked(Source(path, table.bodyparts, None, tuple(videos), ()))
+    if not path.is_dir():
+        raise LabelError(
+            f"expected a DeepLabCut project or a labels folder, got a path where nothing is: {path}"
+        )
+    config = _read_config(path / "config.yaml")
+    scorer = config.get("scorer")
+    bodyparts: dict[str, None] = dict.fromkeys(config.get("bodyparts") or ())
+    videos, warnings = [], []
+    for folder in _label_folders(path):
+        files = sorted(_h5_or_csv(folder), key=lambda file: file.stem != f"CollectedData_{scorer}")
+        if not files:
+            if not folder.name.endswith(_DRAWN_SUFFIX):
+                warnings.append(f"{folder.name}: no CollectedData file in it, nothing imported")
+            continue
+        tables = [_read(file, scorer) for file in files]
+        for table in tables:
+            bodyparts |= dict.fromkeys(table.bodyparts)
+        videos.append(SourceVideo(folder.name, folder, tuple(row for table in tables for row in table.rows)))
+    return _checked(Source(path, tuple(bodyparts), scorer, tuple(videos), tuple(warnings)))
+
+
+def _checked(source: Source) -> Source:
+    if not source.videos:
+        raise LabelError(
+            f"{source.path}: expected labels (labeled-data/<video>/CollectedData_<scorer>.csv), got none"
+        )
+    return source
+
+
+def _label_folders(path: Path) -> list[Path]:
+    if (path / "labeled-data").is_dir():
+        path = path / "labeled-data"
+    elif _h5_or_csv(path):
+        return [path]
+    return sorted(folder for folder in path.iterdir() if folder.is_dir() and not folder.name.startswith("."))
+
+
+def _h5_or_csv(folder: Path) -> list[Path]:
+    """Label files of a folder; an .h5 only where the CSV that says the same is missing."""
+    csvs = label_files(folder)
+    lone = [file for file in folder.glob("CollectedData_*.h5") if file.with_suffix(".csv") not in csvs]
+    return [*csvs, *sorted(lone)]
+
+
+def _pictures_of(label_file: Path, video: str) -> Path:
+    """Folder of the pictures that a label file names: beside it, or in labeled-data/ beside it."""
+    parent = label_file.resolve().parent
+    return parent if parent.name == video else parent / "labeled-data" / video
+
+
+def _read_config(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        return {}
+    try:
+        config = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise LabelError(f"{path}: expected YAML, got a mistake: {' '.join(str(error).split())}") from error
+    if not isinstance(config, dict):
+        raise LabelError(
+            f"{path}: expected the settings of a DeepLabCut project, got {type(config).__name__}"
+        )
+    if config.get("multianimalproject"):
+        raise LabelError(f"{path}: expected a project of one actuator a frame, got a multi-animal project")
+    bodyparts = config.get("bodyparts")
+    if bodyparts is not None and not (
+        isinstance(bodyparts, list) and all(isinstance(b, str) for b in bodyparts)
+    ):
+        raise LabelError(f"{path}: expected bodyparts to be a list of names, got {bodyparts!r}")
+    scorer = config.get("scorer")
+    return {**config, "scorer": None if scorer is None else str(scorer)}
+
+
+def _read(path: Path, scorer: str | None) -> LabelTable:
+    return read_h5_table(path) if path.suffix == ".h5" else read_label_table(path, scorer)
+
+
+def read_h5_table(path: Path) -> LabelTable:
+    """Labels of DeepLabCut's .h5, which is a pandas table in PyTables' form.
+
+    Raises
+    ------
+    LabelError
+        PyTables is not installed, or the file is none of DeepLabCut's.
+    """
+    import pandas as pd
+
+    try:
+        frame = pd.read_hdf(path)
+    except ImportError as error:
+        raise LabelError(
+            f"{path}: expected PyTables to read .h5 labels, got none: install bendtrack[dlc-h5], "
+            "or write the CSV in DeepLabCut (Edit labels, save)"
+        ) from error
+    except (OSError, ValueError, KeyError) as error:
+        raise LabelError(f"{path}: expected DeepLabCut's labels in HDF5, got {error}") from error
+    if not isinstance(frame, pd.DataFrame) or list(frame.columns.names) != ["scorer", "bodyparts", "coords"]:
+        raise LabelError(f"{path}: expected columns of scorer, bodyparts and coords, got another table")
+    rows = []
+    for number, (index, values) in enumerate(frame.iterrows(), start=1):
+        parts: Mapping[int, str] | tuple[str, ...] = index if isinstance(index, tuple) else (str(index),)
+        name = [p for part in parts for p in str(part).replace("\\", "/").split("/") if p]
+        cells = {
+            (str(part), str(coord)): repr(float(value))
+            for (_, part, coord), value in values.items()
+            if value == value
+        }
+        rows.append(LabelRow(name[-1], cells, name[-2] if len(name) > 1 else None, f"{path} row {number}"))
+    return LabelTable(tuple(dict.fromkeys(str(part) for _, part, _ in frame.columns)), tuple(rows))
