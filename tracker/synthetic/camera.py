@@ -11,12 +11,11 @@ from .looks import Camera
 
 def blurred(picture: FloatArray, camera: Camera) -> FloatArray:
     """Defocus, then the sharpening that webcams apply."""
-    result = cv2.GaussianBlur(picture, (0, 0), camera.blur_px) if camera.blur_px > 0.05 else picture
+    result = cv2.GaussianBlur(picture, (0, 0), camera.blur_px) if camera.blur_px > 0 else picture
     if camera.sharpening > 0:
-        result = cv2.addWeighted(
-            result, 1 + camera.sharpening, cv2.GaussianBlur(result, (0, 0), 1.2), -camera.sharpening, 0
-        )
-    return result
+        soft = cv2.GaussianBlur(result, (0, 0), 1.2)
+        result = cv2.addWeighted(result, 1 + camera.sharpening, soft, -camera.sharpening, 0)
+    return np.asarray(result, np.float32)
 
 
 def blur_reach_px(camera: Camera) -> int:
@@ -52,11 +51,12 @@ class NoisePool:
 def developed(picture: FloatArray, camera: Camera, gain: float, noise: FloatArray | None) -> ImageArray:
     """Grey levels 0..255 (H, W, 3) float32 to the uint8 picture that the camera hands over."""
     if noise is None:
-        image: ImageArray = cv2.convertScaleAbs(np.maximum(picture, 0), alpha=gain)
+        image: ImageArray = np.asarray(cv2.convertScaleAbs(np.maximum(picture, 0), alpha=gain), np.uint8)
     else:
-        image = cv2.addWeighted(picture, gain, noise, 1.0, 0.0, dtype=cv2.CV_8U)
+        image = np.asarray(cv2.addWeighted(picture, gain, noise, 1.0, 0.0, dtype=cv2.CV_8U), np.uint8)
     if camera.jpeg_quality:
-        # cv2 codes BGR; swapping red and blue twice would only cost time, but the chroma planes would differ.
-        coded = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, camera.jpeg_quality])[1]
-        image = np.ascontiguousarray(cv2.imdecode(coded, cv2.IMREAD_COLOR)[..., ::-1])
+        coded = cv2.imencode(
+            ".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, camera.jpeg_quality]
+        )[1]
+        image = np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR_RGB), np.uint8)
     return image

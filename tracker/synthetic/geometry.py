@@ -92,7 +92,7 @@ class Midline:
         return int(np.clip(np.searchsorted(self.s, s, side="right") - 1, 0, len(self.s) - 1))
 
     def body_coordinates(
-        self, x: FloatArray, y: FloatArray, piece: FloatArray
+        self, x: FloatArray, y: FloatArray, piece: NDArray[np.intp]
     ) -> tuple[FloatArray, FloatArray]:
         """s and t of image points, each seen from its piece. The inverse of `point`.
 

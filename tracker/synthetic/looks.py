@@ -46,12 +46,14 @@ class Body:
     margin_px : clamp's face to base_1
     bend_length_px : the part that bends, along the strain line
     height_px, cap_height_px, layer_px : of chambers and end caps above the strain line, of the layer below
-    chambers, gap_depth, gap_width : number of chambers, and the gaps between them (fractions of height, pitch)
+    chambers : their number
+    gap_depth, gap_width : of the gaps between them, over height and pitch
     centre_factor : length of the middle chambers over that of the end ones
     roundness : corner radius of a chamber over its length
     swell : how far a chamber rises at full pressure, over its height
-    unevenness : spread of the chambers' swelling, each from its own place in the sequence of `look.seed`
-    curvature_peak, curvature_tilt : curvature is 1 + peak cos(2 pi u) + tilt cos(pi u), u in [0, 1] along the bend
+    unevenness : relative spread of the chambers' swelling
+    curvature_peak, curvature_tilt : curvature goes as 1 + peak cos(2 pi u) + tilt cos(pi u), u in [0, 1]
+        along the bend
     """
 
     end_vector_px: float
@@ -143,7 +145,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class Light:
-    """A key light over ambient light. Azimuth: where the light comes from, in the image, from +x toward +y."""
+    """A key light over ambient light. `azimuth_deg`: where it comes from, in the image, from +x toward +y."""
 
     azimuth_deg: float
     elevation_deg: float

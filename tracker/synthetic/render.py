@@ -1,4 +1,4 @@
-"""From a look and an angle to a picture with its truth: places the skin in the scene and takes the photograph."""
+"""From a look and an angle to a picture with its truth: the skin, placed in the scene, photographed."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from ..types import FloatArray, ImageArray
 from .camera import NoisePool, blur_reach_px, blurred, developed
 from .geometry import HIDDEN_PX, SEGMENTS, Midline
 from .looks import KEYPOINTS, Look
-from .scene import light_map, shadow_factor, still_scene
+from .scene import light_map, shadow_factor, still_scene, thrice
 from .skin import TEXELS, Skin
 
 # From this turn on the tip's half may come over the base's half and is laid over it.
@@ -37,7 +38,7 @@ class RenderedFrame:
     image: ImageArray
     keypoints: tuple[str, ...]
     xy: FloatArray
-    visible: np.ndarray
+    visible: NDArray[np.bool_]
     angle_deg: float
     midline: FloatArray
 
@@ -48,17 +49,16 @@ class Renderer:
     def __init__(self, look: Look) -> None:
         self.look = look
         self._skin = Skin(look)
-        behind, front = still_scene(look)
-        self._behind, self._front = behind, front
-        self._still = blurred(self._over(behind, front), look.camera)
-        self._lit = light_map(look.light, look.size_wh)
+        self._behind, self._front = still_scene(look)
+        rows, columns = np.nonzero(self._front[..., 3])
+        self._front_box = (0, 0, 0, 0)
+        if len(rows):
+            self._front_box = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
+        still = self._behind.copy()
+        self._put_front(still, (0, 0, *look.size_wh))
+        self._still = blurred(still, look.camera)
+        self._lit = 255 * thrice(light_map(look.light, look.size_wh))
         self._noise = NoisePool(look.camera, look.size_wh, look.seed)
-
-    @staticmethod
-    def _over(picture: FloatArray, layer: FloatArray) -> FloatArray:
-        """Premultiplied RGBA `layer` (coverage 0..1) over `picture`."""
-        result: FloatArray = picture * (1 - layer[..., 3:]) + layer[..., :3]
-        return result
 
     def frame(
         self,
@@ -84,7 +84,7 @@ class Renderer:
             pressure = float(np.clip(angle_deg / 200.0, 0, 1))
         middle = Midline(look.body, look.pose, angle_deg)
         travel = abs(np.radians(sweep_deg)) * look.body.end_s * 0.6
-        steps = int(np.clip(np.ceil(travel), 1, 6))
+        steps = int(np.clip(np.ceil(travel / 1.5), 1, 4))
         offsets = (np.arange(steps) + 0.5) / steps - 0.5
         lines = (
             [Midline(look.body, look.pose, angle_deg + sweep_deg * o) for o in offsets]
@@ -108,22 +108,23 @@ class Renderer:
     def _composed(self, lines: list[Midline], pressure: float) -> FloatArray:
         """Still scene with the body in it, blurred, grey levels as float32."""
         look = self.look
+        result = self._still.copy()
         box = self._body_box(lines)
         if box is None:
-            return self._still
+            return result
         x0, y0, x1, y1 = box
-        body = self._body(lines[0], pressure, box)
+        middle = lines[len(lines) // 2]
+        texture = self._skin.shaded(middle.heading_at(self._skin.s), look.pose.side, pressure)
+        body = self._body(lines[0], texture, pressure, box)
         for line in lines[1:]:
-            body = body + self._body(line, pressure, box)
-        body = body * np.float32(1 / (255 * len(lines)))
+            body += self._body(line, texture, pressure, box)
+        body *= np.float32(1 / (255 * len(lines)))
         area = np.s_[y0:y1, x0:x1]
-        picture = (
-            self._behind[area] * shadow_factor(np.ascontiguousarray(body[..., 3]), look.light)[..., None]
-        )
-        picture *= 1 - body[..., 3:]
-        picture += body[..., :3] * (255 * self._lit[area])
-        picture = blurred(self._over(picture, self._front[area]), look.camera)
-        result = self._still.copy()
+        cover = np.ascontiguousarray(body[..., 3])
+        picture: FloatArray = self._behind[area] * thrice(shadow_factor(cover, look.light) * (1 - cover))
+        picture += cv2.cvtColor(body, cv2.COLOR_RGBA2RGB) * self._lit[area]
+        self._put_front(picture, box)
+        picture = blurred(picture, look.camera)
         # The box has room for blur and shadow all round; its rim is the still scene again.
         rim = blur_reach_px(look.camera)
         height, width = result.shape[:2]
@@ -132,8 +133,18 @@ class Renderer:
         result[y0 + top : y0 + bottom, x0 + left : x0 + right] = picture[top:bottom, left:right]
         return result
 
+    def _put_front(self, picture: FloatArray, box: tuple[int, int, int, int]) -> None:
+        """Lay the clamp over a part of the picture, in place."""
+        fx0, fy0, fx1, fy1 = self._front_box
+        x0, y0, x1, y1 = max(fx0, box[0]), max(fy0, box[1]), min(fx1, box[2]), min(fy1, box[3])
+        if x1 > x0 and y1 > y0:
+            front = self._front[y0:y1, x0:x1]
+            part = picture[y0 - box[1] : y1 - box[1], x0 - box[0] : x1 - box[0]]
+            part *= 1 - front[..., 3:]
+            part += front[..., :3]
+
     def _body_box(self, lines: list[Midline]) -> tuple[int, int, int, int] | None:
-        """Pixels that the body, its shadow and its blur can touch: x0, y0, x1, y1; None if out of the picture."""
+        """Pixels that body, shadow and blur can touch: x0, y0, x1, y1; None if out of the picture."""
         look = self.look
         s = np.linspace(-HIDDEN_PX, look.body.end_s, 60)
         edges = np.concatenate(
@@ -144,7 +155,7 @@ class Renderer:
             ]
         )
         lx, ly, _ = look.light.direction
-        shift = -look.light.shadow_length_px / max(np.hypot(lx, ly), 1e-6) * np.array([lx, ly])
+        shift: FloatArray = -look.light.shadow_length_px / max(np.hypot(lx, ly), 1e-6) * np.array([lx, ly])
         around = 3.2 * max(look.light.shadow_softness_px, 3.0) + blur_reach_px(look.camera) + 4
         low = np.minimum(edges.min(axis=0), (edges + shift).min(axis=0)) - around
         high = np.maximum(edges.max(axis=0), (edges + shift).max(axis=0)) + around
@@ -152,32 +163,26 @@ class Renderer:
         x1, y1 = (min(int(v) + 1, size) for v, size in zip(np.ceil(high), look.size_wh, strict=True))
         return (x0, y0, x1, y1) if x1 > x0 and y1 > y0 else None
 
-    def _body(self, line: Midline, pressure: float, box: tuple[int, int, int, int]) -> FloatArray:
-        """Premultiplied RGBA of the lit body in the box, float32 0..255."""
-        look, skin = self.look, self._skin
-        texture = skin.shaded(line.heading_at(skin.s), look.pose.side, pressure)
+    def _body(
+        self, line: Midline, texture: ImageArray, pressure: float, box: tuple[int, int, int, int]
+    ) -> FloatArray:
+        """Premultiplied RGBA of the lit body in the box, (h, w, 4) float32 0..255."""
         last = SEGMENTS + 1
         if abs(np.degrees(line.heading[-1] - line.heading[0])) < _OVERLAP_DEG:
-            return self._placed(line, texture, pressure, box, (0, last), None)
+            return self._placed(line, texture, pressure, box, (0, last))[0]
         half = SEGMENTS // 2 + 1
         cut = float(line.s[half])
-        lower = self._placed(line, texture, pressure, box, (0, half), (-np.inf, cut))
-        upper = self._placed(line, texture, pressure, box, (half - 1, last), (cut, np.inf))
-        # At the cut the two halves share pixels and add up; elsewhere the upper one hides the lower.
-        together = lower[..., 3] + upper[..., 3]
-        cover = np.where(self._near_cut(line, cut, box), 1.0, 1 - upper[..., 3] / 255)
-        del together
-        result: FloatArray = upper + lower * cover[..., None].astype(np.float32)
-        return result
-
-    def _near_cut(self, line: Midline, cut: float, box: tuple[int, int, int, int]) -> FloatArray:
-        """Pixels within 2 px of the cross-section at s = cut, as a mask."""
-        x0, y0, x1, y1 = box
-        ends = line.point(np.array([cut, cut]), np.array([-self.look.body.layer_px - 2, self._skin.reach_px]))
-        mask = np.zeros((y1 - y0, x1 - x0), np.uint8)
-        a, b = (tuple(int(v) for v in np.round((end - (x0, y0)) * 16)) for end in ends)
-        cv2.line(mask, a, b, 1, 4, cv2.LINE_8, 4)
-        return mask.astype(bool)
+        lower, below = self._placed(line, texture, pressure, box, (0, half))
+        upper, above = self._placed(line, texture, pressure, box, (half - 1, last))
+        # Around the cut the halves share pixels and add up to the whole; elsewhere the upper hides the lower.
+        # Both see the same s there, so the two weights add up to 1.
+        upper_weight = np.clip(above - cut + 0.5, 0, 1)
+        upper *= upper_weight[..., None]
+        lower *= (np.clip(cut - below + 0.5, 0, 1) * (1 - upper[..., 3] / 255 * (upper_weight == 1)))[
+            ..., None
+        ]
+        upper += lower
+        return upper
 
     def _placed(
         self,
@@ -186,42 +191,46 @@ class Renderer:
         pressure: float,
         box: tuple[int, int, int, int],
         pieces: tuple[int, int],
-        keep_s: tuple[float, float] | None,
-    ) -> FloatArray:
-        """The texture, bent along some pieces of the midline; premultiplied RGBA of the box, float32 0..255."""
+    ) -> tuple[FloatArray, FloatArray]:
+        """The texture, bent along some pieces of the midline.
+
+        Returns
+        -------
+        rgba : premultiplied, of the box, (h, w, 4) float32 0..255
+        s : (h, w) float32 px, `_FAR` where the pieces do not reach
+        """
         body, skin = self.look.body, self._skin
         x0, y0, x1, y1 = box
         # Which piece of the midline each pixel belongs to: 0 none, else index + 1.
         owner = np.zeros((y1 - y0, x1 - x0), np.uint8)
         bounds = np.append(line.s, body.end_s + 4)
         bounds[0] = -HIDDEN_PX - 2
-        low, high = -body.layer_px - 4, skin.reach_px + 4
+        inner = np.round((line.point(bounds, -body.layer_px - 4) - (x0, y0)) * 16).astype(np.int32)
+        outer = np.round((line.point(bounds, skin.reach_px + 4) - (x0, y0)) * 16).astype(np.int32)
         for piece in range(pieces[0], pieces[1] + 1):
-            a, b = bounds[piece], bounds[piece + 1]
-            quad = line.point(np.array([a, b, b, a]), np.array([low, low, high, high])) - (x0, y0)
-            cv2.fillConvexPoly(owner, np.round(quad * 16).astype(np.int32), piece + 1, cv2.LINE_8, 4)
-        rows, columns = np.nonzero(owner)
-        piece_of = owner[rows, columns].astype(np.intp) - 1
+            quad = np.stack([inner[piece], inner[piece + 1], outer[piece + 1], outer[piece]])
+            cv2.fillConvexPoly(owner, quad, piece + 1, cv2.LINE_8, 4)
+        index = np.flatnonzero(owner)
+        rows, columns = np.divmod(index.astype(np.int32), np.int32(x1 - x0))
         s, t = line.body_coordinates(
-            (columns + x0).astype(np.float32), (rows + y0).astype(np.float32), piece_of
+            (columns + x0).astype(np.float32),
+            (rows + y0).astype(np.float32),
+            owner.ravel()[index].astype(np.intp) - 1,
         )
         # The outer side stands higher under pressure: look up what stood there at rest.
         t = np.where(t > 0, t / skin.rise(s, pressure), t)
         maps = np.full((2, y1 - y0, x1 - x0), _FAR, np.float32)
-        maps[0][rows, columns] = (s - skin.origin_s) * TEXELS
-        maps[1][rows, columns] = (t - skin.origin_t) * TEXELS
-        size = (2 * (x1 - x0), 2 * (y1 - y0))
+        maps[0].ravel()[index] = s
+        maps[1].ravel()[index] = t
         # Both maps are smooth, so two samples a px can be interpolated from one; `_FAR` stays outside.
-        u, v = (cv2.resize(m, size, interpolation=cv2.INTER_LINEAR) for m in maps)
+        size = (2 * (x1 - x0), 2 * (y1 - y0))
+        u = cv2.resize((maps[0] - skin.origin_s) * TEXELS, size, interpolation=cv2.INTER_LINEAR)
+        v = cv2.resize((maps[1] - skin.origin_t) * TEXELS, size, interpolation=cv2.INTER_LINEAR)
         fine = cv2.remap(
             texture, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(0, 0, 0, 0)
         )
-        if keep_s is not None:
-            at = u / TEXELS + skin.origin_s
-            keep = np.clip(at - keep_s[0] + 0.5, 0, 1) * np.clip(keep_s[1] - at + 0.5, 0, 1)
-            fine = fine * keep[..., None].astype(np.float32)
-        coarse = cv2.resize(fine.astype(np.float32), (x1 - x0, y1 - y0), interpolation=cv2.INTER_AREA)
-        return coarse
+        coarse = cv2.resize(fine, (x1 - x0, y1 - y0), interpolation=cv2.INTER_AREA)
+        return coarse.astype(np.float32), maps[0]
 
 
 @lru_cache(maxsize=4)

@@ -1,4 +1,4 @@
-"""Looks by chance: every seed is another actuator on another table, and the whole bend fits into the picture."""
+"""Looks by chance: every seed is another actuator on another table, its whole bend inside the picture."""
 
 from __future__ import annotations
 
@@ -79,8 +79,8 @@ def _placed_body(
 
 
 def _body(rng: np.random.Generator, end_vector_px: float, marks: str, scale: float, room_px: int) -> Body:
-    largest = max(100.0, min(260.0, room_px * 0.54) * scale)
-    bend = float(rng.uniform(min(100.0, largest), largest))
+    largest = max(90.0, min(270.0, room_px * 0.56) * scale)
+    bend = float(rng.uniform(max(90.0, 0.6 * largest), largest))
     # The inner side must not be pressed flat: the layer stays well under the tightest radius.
     height = float(np.clip(bend * rng.uniform(0.17, 0.30), 20, 62))
     chambers = int(np.clip(round(bend / (height * rng.uniform(0.32, 0.75))), 5, 16))
@@ -94,7 +94,8 @@ def _body(rng: np.random.Generator, end_vector_px: float, marks: str, scale: flo
         cap_height_px=height * float(rng.uniform(0.55, 0.85)),
         layer_px=float(rng.uniform(3.5, 8.0)),
         chambers=chambers,
-        gap_depth=float(rng.uniform(0.15, 0.75)),
+        # From nearly one block (slow pneu-nets) to separate bellows (fast ones).
+        gap_depth=float(rng.uniform(0.07, 0.25) if rng.uniform() < 0.4 else rng.uniform(0.25, 0.75)),
         gap_width=float(rng.uniform(0.12, 0.32)),
         centre_factor=float(rng.choice([1.0, 1.0, 0.7, 1.35])),
         roundness=float(rng.uniform(0.12, 0.5)),
@@ -108,7 +109,7 @@ def _body(rng: np.random.Generator, end_vector_px: float, marks: str, scale: flo
 def _pose(
     rng: np.random.Generator, body: Body, size_wh: tuple[int, int], angles: tuple[float, float]
 ) -> Pose | None:
-    """A place where all keypoints stay in the picture and uncovered over all angles; None if this turn has none."""
+    """A place where all keypoints stay in sight over all angles; None if this direction has none."""
     side = int(rng.choice([-1, 1]))
     direction = float(rng.uniform(0, 360))
     pose = Pose((0.0, 0.0), direction, side)
@@ -130,11 +131,11 @@ def _pose(
 def _covers_base(body: Body, line: Midline) -> bool:
     """Whether the tip's half comes over a base keypoint, or a tip keypoint under the clamp."""
     xy = line.point(np.array(body.keypoint_s), body.keypoint_t)
-    s, t = np.meshgrid(
+    tip_s, tip_t = np.meshgrid(
         np.linspace(line.s[SEGMENTS // 2 + 1], body.end_s, 40),
         np.linspace(-body.layer_px, body.height_px * (1 + body.swell), 14),
     )
-    tip_half = line.point(s.ravel(), t.ravel())
+    tip_half = line.point(tip_s.ravel(), tip_t.ravel())
     if np.linalg.norm(tip_half[:, None] - xy[None, :2], axis=2).min() < 10:
         return True
     s, t = line.body_coordinates(xy[2:, 0], xy[2:, 1], np.zeros(2, np.intp))
@@ -145,12 +146,17 @@ def _hsv(hue: float, saturation: float, value: float) -> Colour:
     return colorsys.hsv_to_rgb(hue % 1.0, saturation, value)
 
 
+def _near_white(rng: np.random.Generator, value: float) -> Colour:
+    red, green, blue = value * rng.uniform((0.97, 0.97, 0.92), (1.0, 1.0, 1.01))
+    return float(red), float(green), float(blue)
+
+
 def _material(rng: np.random.Generator, kind: str) -> Material:
     pigment = _hsv(rng.uniform(), rng.uniform(0.45, 0.85), rng.uniform(0.45, 0.9))
     if kind == "translucent":
         white = rng.uniform(0.74, 0.9)
-        colour = tuple(float(white * f) for f in rng.uniform((0.97, 0.97, 0.93), (1.0, 1.0, 1.02)))
-        layer = pigment if rng.uniform() < 0.6 else tuple(float(white * f) for f in (0.72, 0.71, 0.67))
+        colour = _near_white(rng, white)
+        layer = pigment if rng.uniform() < 0.6 else _near_white(rng, 0.7 * white)
         mark: Colour = (0.16, 0.16, 0.18)
         opacity, gloss, shininess = rng.uniform(0.84, 0.97), rng.uniform(0.3, 0.7), rng.uniform(30, 110)
     elif kind == "pigmented":
@@ -171,8 +177,8 @@ def _material(rng: np.random.Generator, kind: str) -> Material:
         opacity=float(opacity),
         gloss=float(gloss),
         shininess=float(shininess),
-        roughness=float(rng.uniform(0.1, 0.8)),
-        bubbles=int(rng.integers(0, 26)),
+        roughness=float(rng.uniform(0.05, 0.4)),
+        bubbles=int(rng.integers(0, 26 if kind == "translucent" else 6)),
     )
 
 
@@ -234,8 +240,8 @@ def _camera(rng: np.random.Generator) -> Camera:
     return Camera(
         blur_px=float(rng.uniform(0.45, 1.1)),
         sharpening=float(rng.choice([0.0, rng.uniform(0.1, 0.6)])),
-        noise=float(rng.uniform(0.8, 4.0)),
-        colour_noise=float(rng.uniform(0.2, 1.8)),
+        noise=float(rng.uniform(0.6, 2.6)),
+        colour_noise=float(rng.uniform(0.2, 1.2)),
         jpeg_quality=int(rng.integers(60, 95)),
         exposure_s=float(rng.uniform(0.004, 0.018)),
         flicker=float(rng.uniform(0.0, 0.012)),

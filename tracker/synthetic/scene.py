@@ -5,20 +5,25 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from ..types import FloatArray
+from ..types import FloatArray, ImageArray
 from .looks import Colour, Light, Look, Scene
 from .skin import smooth_noise
 
 
+def thrice(plane: FloatArray) -> FloatArray:
+    """(H, W) to (H, W, 3); contiguous, so that arithmetic with colours is as quick as it can be."""
+    return np.asarray(cv2.merge([plane, plane, plane]))
+
+
 def light_map(light: Light, size_wh: tuple[int, int]) -> FloatArray:
-    """How bright the light makes each pixel: a gradient away from the light, a vignette; (H, W, 1), around 1."""
+    """Light on each pixel: a gradient away from the lamp and a vignette; (H, W) float32, around 1."""
     width, height = size_wh
     y, x = np.mgrid[0:height, 0:width].astype(np.float32)
     x, y = (x - width / 2) / (width / 2), (y - height / 2) / (width / 2)
     lx, ly, _ = light.direction
     length = max(float(np.hypot(lx, ly)), 1e-6)
     falling = 1 + light.gradient * (x * lx + y * ly) / length
-    level: FloatArray = (falling * (1 - light.vignette * (x * x + y * y)))[..., None].astype(np.float32)
+    level: FloatArray = (falling * (1 - light.vignette * (x * x + y * y))).astype(np.float32)
     return level
 
 
@@ -41,7 +46,7 @@ def _rules(along: FloatArray, pitch_px: float, width_px: float) -> FloatArray:
 
 def _paper(scene: Scene, shape: tuple[int, int], rng: np.random.Generator) -> FloatArray:
     picture = _flat(scene.colour, shape)
-    grain = 0.012 * smooth_noise(rng, shape, 60) + 0.008 * smooth_noise(rng, shape, 2.5)
+    grain = 0.006 * smooth_noise(rng, shape, 110) + 0.008 * smooth_noise(rng, shape, 2.5)
     return picture * (1 + scene.contrast * grain)[..., None]
 
 
@@ -60,7 +65,7 @@ def _ruled(scene: Scene, shape: tuple[int, int], rng: np.random.Generator) -> Fl
 def _bench(scene: Scene, shape: tuple[int, int], rng: np.random.Generator) -> FloatArray:
     picture = _flat(scene.colour, shape)
     u, v = _turned(shape, scene.turn_deg)
-    specks = 0.05 * smooth_noise(rng, shape, 2.0) + 0.04 * smooth_noise(rng, shape, 90)
+    specks = 0.04 * smooth_noise(rng, shape, 2.0) + 0.03 * smooth_noise(rng, shape, 120)
     picture *= (1 + scene.contrast * specks)[..., None]
     for _ in range(int(rng.integers(0, 14))):  # scratches
         offset, angle = rng.uniform(-400, 600), rng.uniform(-0.4, 0.4)
@@ -90,66 +95,87 @@ def _wood(scene: Scene, shape: tuple[int, int], rng: np.random.Generator) -> Flo
 
 
 def _clutter(scene: Scene, shape: tuple[int, int], rng: np.random.Generator) -> FloatArray:
+    """A bench with things on it: sheets and boards, round things, cables, rulers; a little out of focus."""
     # Anti-aliased drawing needs 8 bits a channel.
-    picture = cv2.convertScaleAbs(_bench(scene, shape, rng), alpha=255)
-    height, width = shape
-    for _ in range(int(rng.integers(10, 26))):
-        colour = tuple(
-            float(c) for c in 255 * np.clip(rng.normal(rng.uniform(0.1, 0.9), 0.12, 3), 0.02, 0.98)
+    picture = np.asarray(cv2.convertScaleAbs(_bench(scene, shape, rng), alpha=255), np.uint8)
+    draw = (_sheet, _disc, _cable, _ruler)
+    for _ in range(int(rng.integers(6, 16))):
+        colour = 255 * np.clip(rng.uniform(0.1, 0.9) + rng.normal(0, 0.07, 3), 0.03, 0.97)
+        place = rng.uniform(0, 1, 2) * (shape[1], shape[0])
+        mask = np.zeros(shape, np.uint8)
+        drawn = picture.copy()
+        draw[int(rng.choice(4, p=(0.45, 0.25, 0.2, 0.1)))](drawn, mask, place, colour, rng)
+        shift = np.array([[1, 0, rng.uniform(2, 7)], [0, 1, rng.uniform(2, 7)]])
+        shadow = cv2.GaussianBlur(
+            cv2.warpAffine(mask, shift, (shape[1], shape[0])), (0, 0), rng.uniform(2, 5)
         )
-        x, y = rng.uniform(0, width), rng.uniform(0, height)
-        size = rng.uniform(12, 130, 2)
-        turn = float(rng.uniform(0, 180))
-        kind = rng.integers(0, 4)
-        layer = picture.copy()
-        if kind == 0:
-            box = cv2.boxPoints(((x, y), (float(size[0]), float(size[1])), turn))
-            shadow = (box + rng.uniform(3, 7)).astype(np.int32)
-            cv2.fillConvexPoly(layer, shadow, tuple(90 * c for c in scene.colour), cv2.LINE_AA)
-            layer = cv2.GaussianBlur(layer, (0, 0), 3)
-            cv2.fillConvexPoly(layer, box.astype(np.int32), colour, cv2.LINE_AA)
-        elif kind == 1:
-            cv2.ellipse(
-                layer,
-                (int(x), int(y)),
-                (int(size[0] / 2), int(size[1] / 2)),
-                turn,
-                0,
-                360,
-                colour,
-                -1,
-                cv2.LINE_AA,
-            )
-        elif kind == 2:  # a cable
-            start = np.array([x, y])
-            knots = start + np.cumsum(rng.normal(0, 70, (5, 2)), axis=0)
-            curve = cv2.resize(knots.astype(np.float32), (2, 60), interpolation=cv2.INTER_CUBIC)
-            thickness = int(rng.integers(2, 9))
-            cv2.polylines(
-                layer,
-                [curve.astype(np.int32)],
-                False,
-                tuple(0.6 * c for c in colour),
-                thickness + 2,
-                cv2.LINE_AA,
-            )
-            cv2.polylines(layer, [curve.astype(np.int32)], False, colour, thickness, cv2.LINE_AA)
-        else:
-            text = "".join(rng.choice(list("0123456789ABCDEFGHKLMNRSTUVXYZ -"), int(rng.integers(3, 10))))
-            cv2.putText(
-                layer,
-                text,
-                (int(x), int(y)),
-                cv2.FONT_HERSHEY_SIMPLEX,
-                float(rng.uniform(0.4, 1.2)),
-                colour,
-                1,
-                cv2.LINE_AA,
-            )
-        picture = layer
-    soft = float(rng.uniform(0.0, 2.2))
+        shaded = picture * (1 - 0.5 / 255 * shadow.astype(np.float32))[..., None]
+        cover = mask[..., None].astype(np.float32) / 255
+        picture = np.asarray(cv2.convertScaleAbs(shaded + (drawn - shaded) * cover), np.uint8)
     lit = picture.astype(np.float32) / 255
-    return cv2.GaussianBlur(lit, (0, 0), soft) if soft > 0.4 else lit
+    return np.asarray(cv2.GaussianBlur(lit, (0, 0), float(rng.uniform(0.5, 2.5))), np.float32)
+
+
+def _sheet(
+    picture: ImageArray, mask: ImageArray, place: FloatArray, colour: FloatArray, rng: np.random.Generator
+) -> None:
+    size = rng.uniform((25, 25), (190, 130))
+    turn = float(rng.uniform(0, 180))
+    corners = cv2.boxPoints((tuple(map(float, place)), tuple(map(float, size)), turn))
+    for target, tone in ((picture, tuple(colour.tolist())), (mask, (255,))):
+        cv2.fillConvexPoly(target, np.round(corners * 16).astype(np.int32), tone, cv2.LINE_AA, 4)
+    ink = tuple((colour * rng.uniform(0.35, 0.85)).tolist())
+    rows = int(rng.integers(0, 9))
+    for row in range(rows):  # print, or the tracks of a board
+        u = 0.12 + 0.76 * row / max(rows - 1, 1)
+        start, end = corners[0] + u * (corners[1] - corners[0]), corners[3] + u * (corners[2] - corners[3])
+        end = start + (end - start) * rng.uniform(0.4, 0.92)
+        start = start + (end - start) * 0.1
+        a, b = (tuple(map(int, np.round(point * 16))) for point in (start, end))
+        cv2.line(picture, a, b, ink, int(rng.integers(1, 3)), cv2.LINE_AA, 4)
+
+
+def _disc(
+    picture: ImageArray, mask: ImageArray, place: FloatArray, colour: FloatArray, rng: np.random.Generator
+) -> None:
+    centre = tuple(map(int, place * 16))
+    radius = float(rng.uniform(7, 45))
+    cv2.circle(mask, centre, int(radius * 16), 255, -1, cv2.LINE_AA, 4)
+    for share in (1.0, 0.82, 0.78, 0.4):
+        tone = tuple((colour * rng.uniform(0.65, 1.05)).clip(0, 255).tolist())
+        cv2.circle(picture, centre, int(radius * share * 16), tone, -1, cv2.LINE_AA, 4)
+
+
+def _cable(
+    picture: ImageArray, mask: ImageArray, place: FloatArray, colour: FloatArray, rng: np.random.Generator
+) -> None:
+    heading = rng.uniform(0, 2 * np.pi) + np.cumsum(rng.normal(0, 0.5, 9))
+    knots = place + 55 * np.cumsum(np.stack([np.cos(heading), np.sin(heading)], axis=1), axis=0)
+    curve = np.asarray(cv2.resize(knots.astype(np.float32), (2, 120), interpolation=cv2.INTER_CUBIC))
+    line = [np.round(curve * 16).astype(np.int32)]
+    width = int(rng.integers(2, 8))
+    cv2.polylines(mask, line, False, 255, width, cv2.LINE_AA, 4)
+    cv2.polylines(picture, line, False, tuple((0.6 * colour).tolist()), width, cv2.LINE_AA, 4)
+    cv2.polylines(picture, line, False, tuple(colour.tolist()), max(width // 2, 1), cv2.LINE_AA, 4)
+
+
+def _ruler(
+    picture: ImageArray, mask: ImageArray, place: FloatArray, colour: FloatArray, rng: np.random.Generator
+) -> None:
+    heading = rng.uniform(0, np.pi)
+    along, across = (
+        np.array([np.cos(heading), np.sin(heading)]),
+        np.array([-np.sin(heading), np.cos(heading)]),
+    )
+    length, width, pitch = rng.uniform(200, 420), rng.uniform(20, 34), rng.uniform(5, 9)
+    corners = [place + along * i * length + across * j * width for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))]
+    for target, tone in ((picture, tuple((0.4 * colour + 150).clip(0, 255).tolist())), (mask, (255,))):
+        cv2.fillConvexPoly(target, np.round(np.array(corners) * 16).astype(np.int32), tone, cv2.LINE_AA, 4)
+    for tick in range(int(length / pitch)):
+        start = place + along * tick * pitch
+        end = start + across * width * (0.45 if tick % 5 == 0 else 0.25)
+        a, b = (tuple(map(int, np.round(point * 16))) for point in (start, end))
+        cv2.line(picture, a, b, (35, 35, 40), 1, cv2.LINE_AA, 4)
 
 
 def background(look: Look) -> FloatArray:
@@ -240,7 +266,7 @@ def still_scene(look: Look) -> tuple[FloatArray, FloatArray]:
     Returns
     -------
     behind : (H, W, 3) float32, grey levels 0..255: background, tube, shadow of the clamp, lit
-    front : (H, W, 4) float32, grey levels premultiplied and coverage 0..1: the clamp, which is in front of the body
+    front : (H, W, 4) float32, grey levels premultiplied and coverage 0..1: the clamp, before the body
     """
     light = look.light
     heading = np.radians(look.pose.direction_deg)
@@ -252,20 +278,24 @@ def still_scene(look: Look) -> tuple[FloatArray, FloatArray]:
     picture *= shadow_factor(np.maximum(tube_mask, 0), light, 0.5)[..., None]
     picture += (tube - picture) * tube_mask[..., None]
     picture *= shadow_factor(clamp_mask, light, 1.3)[..., None]
-    lit = light_map(light, look.size_wh) * (255 * np.sqrt(np.asarray(light.tint, np.float32)))
+    lit = light_map(light, look.size_wh)[..., None] * (255 * np.sqrt(np.asarray(light.tint, np.float32)))
     front = np.concatenate([clamp * lit * clamp_mask[..., None], clamp_mask[..., None]], axis=2)
     return picture * lit, front
 
 
 def shadow_factor(mask: FloatArray, light: Light, height: float = 1.0) -> FloatArray:
-    """What a shadow leaves of the light: the mask, blurred and moved away from the light; (H, W) in [0, 1]."""
+    """What a shadow leaves of the light: the mask, blurred and moved away from the lamp; (H, W) in [0, 1].
+
+    Drawn at half size: a shadow has no detail that would be lost.
+    """
     lx, ly, _ = light.direction
     length = max(float(np.hypot(lx, ly)), 1e-6)
-    offset = -light.shadow_length_px * height / length
-    moved = cv2.warpAffine(
-        mask, np.array([[1, 0, offset * lx], [0, 1, offset * ly]]), (mask.shape[1], mask.shape[0]), flags=cv2.INTER_LINEAR
-    )  # fmt: skip
-    soft = cv2.GaussianBlur(moved, (0, 0), max(light.shadow_softness_px * height, 0.6))
-    contact = cv2.GaussianBlur(mask, (0, 0), 3.0)
-    factor: FloatArray = 1 - light.shadow * (0.75 * soft + 0.25 * contact)
-    return factor
+    offset = -0.5 * light.shadow_length_px * height / length
+    rows, columns = mask.shape
+    small = cv2.resize(mask, ((columns + 1) // 2, (rows + 1) // 2), interpolation=cv2.INTER_AREA)
+    move = np.array([[1, 0, offset * lx], [0, 1, offset * ly]])
+    moved = cv2.warpAffine(small, move, (small.shape[1], small.shape[0]), flags=cv2.INTER_LINEAR)
+    soft = cv2.GaussianBlur(moved, (0, 0), 0.5 * max(light.shadow_softness_px * height, 1.2))
+    contact = cv2.GaussianBlur(small, (0, 0), 1.5)
+    shade = cv2.addWeighted(soft, -0.75 * light.shadow, contact, -0.25 * light.shadow, 1.0)
+    return np.asarray(cv2.resize(shade, (columns, rows), interpolation=cv2.INTER_LINEAR))

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..types import FloatArray, ImageArray
 from .geometry import HIDDEN_PX
-from .looks import Body, Light, Look, Material
+from .looks import Body, Look, Material
 
 # Texels a px. Two is what the picture is supersampled with, so texels and samples are of one size.
 TEXELS = 2.0
@@ -53,7 +53,7 @@ def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], cell_px: floa
 
 
 def chamber_edges(body: Body) -> FloatArray:
-    """s of the chambers' boundaries, (chambers + 1,); the middle ones longer or shorter by `centre_factor`."""
+    """s of the chambers' boundaries, (chambers + 1,); `centre_factor` stretches the middle ones."""
     start, end = body.chambers_s
     place = (np.arange(body.chambers) + 0.5) / body.chambers
     lengths = 1 + (body.centre_factor - 1) * np.sin(np.pi * place) ** 2
@@ -153,15 +153,14 @@ class Skin:
         self._lobe = lobe * body.swell
 
         in_layer = _step(t) * _step(-t + low)
-        relief += (
-            0.6 * material.roughness * (smooth_noise(rng, s.shape, 18) + 0.5 * smooth_noise(rng, s.shape, 6))
-        )
+        relief += material.roughness * smooth_noise(rng, s.shape, 44)
+        relief += 0.25 * material.roughness * smooth_noise(rng, s.shape, 12)
         # The seam between the layer and the body is a shallow groove.
         relief -= 0.8 * np.exp(-np.square(t / 0.9))
         marks = self._marks(s, t, body, base_1, base_2, tip_1)
         bubble_relief, bubble_shade = self._bubbles(s, t, body, material, rng)
 
-        self._relief = relief + bubble_relief - 1.6 * marks
+        self._relief = relief + bubble_relief - 0.4 * marks
         self._pillow = pillow * 0.22 * pitch * (body.swell / 0.25)
         gap_shade = np.clip(1 - 0.10 * (cv2.GaussianBlur(relief, (0, 0), 3.5 * TEXELS) - relief), 0.45, 1.05)
         cloth = 1 + 0.05 * np.sin(2 * np.pi * s / 2.6) * in_layer
@@ -174,7 +173,7 @@ class Skin:
         if material.kind == "translucent":
             albedo = albedo * (1 - 0.16 * cavity[..., None])
         albedo = albedo + (mark_colour - albedo) * (0.85 * marks)[..., None]
-        self._albedo = albedo.astype(np.float32)
+        self._albedo = [np.ascontiguousarray(albedo[..., c], dtype=np.float32) for c in range(3)]
         self._cavity = cavity.astype(np.float32)
         thin = np.clip(-outline / 7.0, 0, 1)
         opacity = (
@@ -223,7 +222,7 @@ class Skin:
         scale = TEXELS / 8
         along = cv2.Sobel(relief, cv2.CV_32F, 1, 0, ksize=3, scale=scale)
         across = cv2.Sobel(relief, cv2.CV_32F, 0, 1, ksize=3, scale=scale)
-        return along, across
+        return np.asarray(along, np.float32), np.asarray(across, np.float32)
 
     def rise(self, s: FloatArray, pressure: float) -> FloatArray:
         """How many times as high as at rest the body stands at s. `pressure` is relative to the full one."""
@@ -244,6 +243,7 @@ class Skin:
         cos, sin = np.cos(heading), np.sin(heading)
         along = (lx * cos + ly * sin).astype(np.float32)
         outward = (side * (lx * sin - ly * cos)).astype(np.float32)
+        pressure = float(pressure)
         slope_s = self._gradient[0] + pressure * self._pillow_gradient[0]
         slope_t = self._gradient[1] + pressure * self._pillow_gradient[1]
         up = 1 / np.sqrt(1 + slope_s * slope_s + slope_t * slope_t)
@@ -251,19 +251,23 @@ class Skin:
         # Light that enters a translucent body leaves it elsewhere: the shade's edge is soft.
         wrap = {"translucent": 0.6, "pigmented": 0.25, "rubber": 0.1}[material.kind]
         lit = np.maximum((facing + np.float32(wrap)) * np.float32(1 / (1 + wrap)), 0)
-        level = light.ambient * (0.55 + 0.45 * up) + (1 - light.ambient) * lit * (1 / max(lz, 0.35))
+        key = np.float32((1 - light.ambient) / max(lz, 0.35))
+        level = np.float32(light.ambient) * (0.55 + 0.45 * up) + key * lit
         # Mirror direction of the view (0, 0, 1) against the light: 2 (n.v)(n.l) - l.v.
         mirror = np.maximum(2 * up * facing - np.float32(lz), 0)
-        gloss = material.gloss * (mirror ** np.float32(material.shininess) + 0.12 * mirror**3)
+        gloss = np.asarray(cv2.pow(mirror, material.shininess)) + np.float32(0.12) * np.asarray(
+            cv2.pow(mirror, 3)
+        )
         # Grazing surfaces mirror the room.
-        gloss += 0.10 * material.gloss * np.square(1 - up)
-        colour = self._albedo * (level * (1 + 0.06 * pressure * self._cavity))[..., None]
-        colour *= np.asarray(light.tint, np.float32)
-        colour += gloss[..., None]
-        rgba = np.empty((*level.shape, 4), np.float32)
-        cv2.sqrt(np.minimum(colour, 1), colour)
-        rgba[..., :3] = colour
-        rgba[..., 3] = 1
-        rgba *= (self._alpha * 255)[..., None]
-        texture: ImageArray = cv2.convertScaleAbs(rgba)
+        gloss += np.float32(0.10) * np.square(1 - up)
+        gloss *= np.float32(material.gloss)
+        # Stretched walls let more light through.
+        level *= 1 + np.float32(0.06 * pressure) * self._cavity
+        alpha = 255 * self._alpha
+        planes = []
+        for albedo, tint in zip(self._albedo, light.tint, strict=True):
+            plane = np.minimum(albedo * (level * np.float32(tint)) + gloss, 1)
+            planes.append(np.sqrt(plane) * alpha)
+        rgba = cv2.merge([*planes, alpha])
+        texture: ImageArray = np.asarray(cv2.convertScaleAbs(rgba), np.uint8)
         return texture

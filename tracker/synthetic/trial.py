@@ -1,0 +1,249 @@
+"""A whole rendered trial on disk: video, pressure log, truth and the settings that made them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..atomic import atomic_write_text
+from ..errors import BendtrackError
+from ..types import FloatArray
+from ..video_writer import VideoWriter
+from .looks import KEYPOINTS, Camera, Look
+from .render import Renderer
+from .response import HystereticResponse, staircase_duration_s, staircase_kpa, triangle_kpa
+from .sampling import random_look
+
+WAVES = ("triangle", "staircase")
+PRESSURE_RATE_HZ = 400.0  # the study's log (paper, section on data acquisition)
+_PRESSURE_NOISE_KPA = 0.05
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A rendered trial.
+
+    Attributes
+    ----------
+    folder : holds `video_path`, `pressure_path`, `truth_path` and `settings_path`
+    look : how it looks
+    keypoints : names, the order of `xy`
+    time_s, pressure_kpa, angle_deg : (T,) exact, one for every frame of the video
+    xy : (T, 4, 2) px, exact
+    hysteresis_ratio : of every cycle of a triangle wave
+    """
+
+    folder: Path
+    look: Look
+    keypoints: tuple[str, ...]
+    time_s: FloatArray
+    pressure_kpa: FloatArray
+    angle_deg: FloatArray
+    xy: FloatArray
+    hysteresis_ratio: float
+
+    @property
+    def video_path(self) -> Path:
+        return self.folder / "video.mp4"
+
+    @property
+    def pressure_path(self) -> Path:
+        return self.folder / "pressure.csv"
+
+    @property
+    def truth_path(self) -> Path:
+        return self.folder / "truth.csv"
+
+    @property
+    def settings_path(self) -> Path:
+        return self.folder / "trial.json"
+
+
+def render_trial(
+    out_dir: str | Path,
+    *,
+    seed: int,
+    wave: str = "triangle",
+    frequency_hz: float = 0.0625,
+    cycles: float = 12,
+    pressure_peak_kpa: float = 50.0,
+    step_kpa: float = 5.0,
+    hold_s: float = 3.0,
+    angle_min_deg: float = 0.0,
+    angle_max_deg: float = 190.0,
+    hysteresis_ratio: float = 0.25,
+    frame_rate: float = 30.0,
+    size_wh: tuple[int, int] = (640, 480),
+    end_vector_px: float = 40.0,
+    look: Look | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Trial:
+    """Render a trial and write it.
+
+    Writes `video.mp4`; `pressure.csv` (time_s, pressure_kpa at 400 Hz, with a little sensor noise);
+    `truth.csv` (frame, time_s, pressure_kpa, angle_deg, <keypoint>_x, <keypoint>_y, exact); `trial.json`.
+    Each file is written whole or not at all, `trial.json` last. Frames are not kept in memory.
+
+    Parameters
+    ----------
+    seed : draws the look, the noise and the flicker
+    wave : "triangle" (`cycles` at `frequency_hz`) or "staircase" (`step_kpa`, each level held for `hold_s`)
+    angle_min_deg, angle_max_deg : at zero and at the peak pressure
+    hysteresis_ratio : of a triangle's cycle, as the paper defines it (see `response`)
+    end_vector_px : distance between the two points of an end
+    look : instead of `random_look(seed)`; its size and end vectors are then taken
+    progress : called with frames done and frames in all
+
+    Raises
+    ------
+    BendtrackError
+        A setting that cannot be rendered.
+    VideoError, OSError
+        The folder cannot be written.
+    """
+    if wave not in WAVES:
+        raise BendtrackError(f"expected one of {', '.join(WAVES)}, got {wave!r}")
+    for name, value in (
+        ("frequency", frequency_hz),
+        ("number of cycles", cycles),
+        ("frame rate", frame_rate),
+    ):
+        if not value > 0:
+            raise BendtrackError(f"expected a {name} above 0, got {value:g}")
+    response = HystereticResponse(pressure_peak_kpa, angle_min_deg, angle_max_deg, hysteresis_ratio)
+    if look is None:
+        angles = (min(angle_min_deg, -20.0), max(angle_max_deg, 220.0))
+        look = random_look(seed, size_wh=size_wh, end_vector_px=end_vector_px, angle_range_deg=angles)
+    if wave == "triangle":
+        duration_s = cycles / frequency_hz
+    else:
+        duration_s = staircase_duration_s(pressure_peak_kpa, step_kpa, hold_s)
+
+    def pressure_at(time_s: FloatArray) -> FloatArray:
+        if wave == "triangle":
+            return triangle_kpa(time_s, pressure_peak_kpa, frequency_hz)
+        return staircase_kpa(time_s, pressure_peak_kpa, step_kpa, hold_s)
+
+    time_s = np.arange(int(duration_s * frame_rate + 1e-6) + 1) / frame_rate
+    angle_deg, sweep_deg = _angles(response, pressure_at, time_s, look.camera.exposure_s)
+    pressure_kpa = pressure_at(time_s)
+    gain = exposure_gain(look.camera, time_s, np.random.default_rng([seed, 10]))
+    folder = Path(out_dir)
+    folder.mkdir(parents=True, exist_ok=True)
+    renderer, rng = Renderer(look), np.random.default_rng([seed, 11])
+    xy = np.empty((len(time_s), len(KEYPOINTS), 2))
+    trial = Trial(folder, look, KEYPOINTS, time_s, pressure_kpa, angle_deg, xy, hysteresis_ratio)
+    with VideoWriter(trial.video_path, look.size_wh, frame_rate) as writer:
+        for index, angle in enumerate(angle_deg):
+            relative = float(pressure_kpa[index] / pressure_peak_kpa)
+            frame = renderer.frame(angle, relative, sweep_deg=sweep_deg[index], gain=gain[index], rng=rng)
+            xy[index] = frame.xy
+            writer.write(frame.image, time_s[index])
+            if progress is not None:
+                progress(index + 1, len(time_s))
+    log_time_s = np.arange(int(duration_s * PRESSURE_RATE_HZ + 1e-6) + 1) / PRESSURE_RATE_HZ
+    noise_kpa = _PRESSURE_NOISE_KPA * np.random.default_rng([seed, 12]).standard_normal(len(log_time_s))
+    log = np.stack([log_time_s, pressure_at(log_time_s) + noise_kpa], axis=1)
+    atomic_write_text(trial.pressure_path, _csv("time_s,pressure_kpa", log, "{:.4f},{:.3f}"))
+    atomic_write_text(trial.truth_path, _truth_csv(trial))
+    settings = {
+        "made_by": f"bendtrack {version('bendtrack')}",
+        "seed": seed,
+        "wave": wave,
+        "frequency_hz": frequency_hz if wave == "triangle" else None,
+        "cycles": cycles if wave == "triangle" else None,
+        "step_kpa": step_kpa if wave == "staircase" else None,
+        "hold_s": hold_s if wave == "staircase" else None,
+        "pressure_peak_kpa": pressure_peak_kpa,
+        "pressure_rate_hz": PRESSURE_RATE_HZ,
+        "pressure_noise_kpa": _PRESSURE_NOISE_KPA,
+        "angle_min_deg": angle_min_deg,
+        "angle_max_deg": angle_max_deg,
+        "hysteresis_ratio": hysteresis_ratio,
+        "frame_rate": frame_rate,
+        "frames": len(time_s),
+        "keypoints": list(KEYPOINTS),
+        "look": asdict(look),
+    }
+    atomic_write_text(trial.settings_path, json.dumps(settings, indent=2) + "\n")
+    return trial
+
+
+def labelled_sample(
+    trial: Trial, count: int = 30, noise_px: float = 1.0, seed: int = 0
+) -> tuple[NDArray[np.intp], FloatArray]:
+    """Frames spread evenly over the trial's angles, with labels as an unsteady hand would set them.
+
+    Returns
+    -------
+    frames : (count,) frame indices, increasing. Take the pictures from the video, not from the renderer.
+    xy : (count, 4, 2) px, truth plus Gaussian noise of standard deviation `noise_px` in x and in y
+
+    Raises
+    ------
+    BendtrackError
+        The trial has fewer frames than that.
+    """
+    if not 0 < count <= len(trial.angle_deg):
+        raise BendtrackError(f"expected 1 to {len(trial.angle_deg)} frames to label, got {count}")
+    rng = np.random.default_rng([seed, 13])
+    free = np.ones(len(trial.angle_deg), bool)
+    frames = np.empty(count, np.intp)
+    for index, target in enumerate(np.linspace(trial.angle_deg.min(), trial.angle_deg.max(), count)):
+        # Any of the few nearest: they come from different cycles, of loading and of unloading.
+        near = np.argsort(np.where(free, np.abs(trial.angle_deg - target), np.inf))[: min(6, free.sum())]
+        frames[index] = rng.choice(near)
+        free[frames[index]] = False
+    frames.sort()
+    xy: FloatArray = trial.xy[frames] + noise_px * rng.standard_normal((count, len(trial.keypoints), 2))
+    return frames, xy
+
+
+def exposure_gain(camera: Camera, time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Brightness of each frame, (T,), around 1: lamps flicker at 100 Hz, automatic exposure wanders."""
+    phases = rng.uniform(0, 2 * np.pi, 3)
+    # 100 Hz is not quite the mains' double: the flicker beats with the frame rate.
+    flicker = np.sin(2 * np.pi * 100.07 * time_s + phases[0])
+    drift = 0.6 * np.sin(2 * np.pi * time_s / 47 + phases[1]) + 0.4 * np.sin(
+        2 * np.pi * time_s / 19 + phases[2]
+    )
+    gain: FloatArray = 1 + camera.flicker * flicker + camera.drift * drift
+    return gain
+
+
+def _angles(
+    response: HystereticResponse,
+    pressure_at: Callable[[FloatArray], FloatArray],
+    time_s: FloatArray,
+    exposure_s: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Angle at each frame's time, and how far it moves during its exposure; (T,) both, degrees.
+
+    The response is followed through the log's times too, so that no turn of the wave falls between frames.
+    """
+    shutter = np.concatenate([time_s, np.maximum(time_s - exposure_s / 2, 0), time_s + exposure_s / 2])
+    between = np.arange(0, time_s[-1] + exposure_s, 1 / PRESSURE_RATE_HZ)
+    times, place = np.unique(np.concatenate([shutter, between]), return_inverse=True)
+    angle = response.angle_deg(pressure_at(times))[place]
+    middle, opened, closed = np.split(angle[: 3 * len(time_s)], 3)
+    return middle, closed - opened
+
+
+def _csv(header: str, rows: FloatArray, pattern: str) -> str:
+    return "\n".join([header, *(pattern.format(*row) for row in rows.tolist())]) + "\n"
+
+
+def _truth_csv(trial: Trial) -> str:
+    names = [f"{keypoint}_{axis}" for keypoint in trial.keypoints for axis in "xy"]
+    header = ",".join(["frame", "time_s", "pressure_kpa", "angle_deg", *names])
+    count = len(trial.time_s)
+    rows = np.column_stack(
+        [np.arange(count), trial.time_s, trial.pressure_kpa, trial.angle_deg, trial.xy.reshape(count, -1)]
+    )
+    return _csv(header, rows, "{:.0f},{:.6f},{:.4f},{:.5f}," + ",".join(["{:.4f}"] * len(names)))
