@@ -5,6 +5,7 @@ What it says is hearsay until the frames have been decoded (`decoding.py`).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -135,11 +136,11 @@ def orientation(picture: av.VideoFrame) -> tuple[Orientation, int, str | None]:
     -------
     orientation, the counterclockwise turn in degrees, a warning or None
     """
-    matrix = picture.side_data.get(SideDataType.DISPLAYMATRIX)
-    if matrix is None:
+    if SideDataType.DISPLAYMATRIX not in picture.side_data:
         return Orientation(), 0, None
+    matrix = picture.side_data[SideDataType.DISPLAYMATRIX]  # type: ignore[typeddict-item] # PyAV's stub errs
     a, b, _, c, d = np.frombuffer(bytes(matrix), np.int32)[:5] / 65536
-    turn = round(picture.rotation)
+    turn = round(math.degrees(math.atan2(-b, a)))
     if max(abs(b), abs(c)) < 1e-3 * max(abs(a), abs(d)):
         return Orientation(False, bool(a < 0), bool(d < 0)), turn, None
     if max(abs(a), abs(d)) < 1e-3 * max(abs(b), abs(c)):

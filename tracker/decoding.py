@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import cast
 
 import av
 from av.container import InputContainer
@@ -64,7 +65,7 @@ class Decoding:
         self._container, self._stream, self._picture_wh = container, stream, picture_wh
         # AVI has a slot for each packet and no presentation times: the n-th picture shown belongs to the
         # n-th slot. (FFmpeg invents times for H.264 in AVI, out of order.)
-        self._slots: list[int] | None = [] if container.format.name == "avi" else None
+        self._slots: list[int | None] | None = [] if container.format.name == "avi" else None
         self._reorder = _MAX_REORDER if stream.codec_context.has_b_frames else 0
         self._pending: dict[int, _Packet] = {}  # by number: neither decoded nor given up
         self._marked_corrupt: set[int] = set()
@@ -138,12 +139,13 @@ class Decoding:
         for picture in pictures:
             if picture.opaque is None:
                 continue  # made up by the decoder for a missing reference, or not to be shown
-            packet_of = self._pending.get(picture.opaque)
+            number = cast(int, picture.opaque)
+            packet_of = self._pending.get(number)
             if packet_of is None:
                 self._n_late += 1
                 continue
             self._give_up_before(packet_of)
-            sound = not picture.is_corrupt and picture.opaque not in self._marked_corrupt
+            sound = not picture.is_corrupt and number not in self._marked_corrupt
             if sound and (picture.width, picture.height) != self._picture_wh:
                 self._n_resized += 1
                 sound = False
@@ -154,13 +156,15 @@ class Decoding:
 
     def _give_up_before(self, shown: _Packet) -> None:
         """Give up the packets that should have been shown before this one."""
-        if self._without_times(shown):
+        stamp = self._time_of(shown)
+        if stamp is None:
             self._give_up(lambda packet: packet.number < shown.number - self._reorder)
         else:
-            self._give_up(lambda packet: packet.stamp is not None and packet.stamp < shown.stamp)
+            self._give_up(lambda packet: packet.stamp is not None and packet.stamp < stamp)
 
-    def _without_times(self, packet: _Packet) -> bool:
-        return self._slots is not None or packet.stamp is None
+    def _time_of(self, packet: _Packet) -> int | None:
+        """When the packet's picture is shown, None where the file does not tell."""
+        return packet.stamp if self._slots is None else None
 
     def _give_up(self, is_lost: Callable[[_Packet], bool]) -> None:
         lost = [packet for packet in self._pending.values() if is_lost(packet)]
@@ -175,9 +179,7 @@ class Decoding:
         place = len(self._waiting)
         if picture is None:
             self._damage[packet.group] = min(self._damage.get(packet.group, packet.number), packet.number)
-            if self._without_times(
-                packet
-            ):  # where it would have been shown is known to within the reordering
+            if self._time_of(packet) is None:  # its place is then known to within the reordering
                 later = (i for i, (other, _) in enumerate(self._waiting) if other.number > packet.number)
                 place = next(later, place)
         self._waiting.insert(place, (packet, picture))

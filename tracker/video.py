@@ -50,7 +50,7 @@ class Frame:
         """RGB uint8 (H, W, 3) as displayed, None if undecodable. Converted when first asked for."""
         if self.decoded is None:
             return None
-        return self.orientation.apply(self.decoded.to_ndarray(format="rgb24"))
+        return self.orientation.apply(np.asarray(self.decoded.to_ndarray(format="rgb24"), dtype=np.uint8))
 
 
 class Video:
@@ -129,7 +129,7 @@ class Video:
             start: int | None = None
             for row in decoding.rows():
                 start = row.stamp if start is None else start
-                time_s = self._time_s(row, len(times), start, stream.time_base)
+                time_s = self._time_s(row, len(times), start, stream.time_base or Fraction(1))
                 times.append(time_s)
                 if row.picture is None:
                     undecodable_s.append(time_s)

@@ -1,0 +1,484 @@
+"""Reading and writing real video files: whole, rotated, uneven in time, damaged, cut, or no video at all."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import subprocess
+import sys
+from contextlib import closing
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+
+from bendtrack.tracker.errors import VideoError
+from bendtrack.tracker.read_ahead import read_ahead
+from bendtrack.tracker.video import Video, file_sha256, read_frame, video_stem
+from bendtrack.tracker.video_writer import VideoWriter
+
+FRAMES = 60
+
+
+def damage(path: Path, out: Path, places: list[tuple[int, int]], seed: int = 0, count: int = 3) -> Path:
+    """Flip bytes inside packets, leaving their headers."""
+    data = bytearray(path.read_bytes())
+    random = np.random.default_rng(seed)
+    for position, size in places:
+        for offset in random.integers(min(12, size // 2), size, count):
+            data[position + int(offset)] ^= int(random.integers(1, 255))
+    out.write_bytes(data)
+    return out
+
+
+def cut(path: Path, out: Path, fraction: float) -> Path:
+    data = path.read_bytes()
+    out.write_bytes(data[: int(len(data) * fraction)])
+    return out
+
+
+# --- whole files
+
+
+def test_every_frame_comes_in_order_with_its_time(arm_video, film):
+    """H.264 with B-frames: not decoded in the order of display, and held back by the decoder to the end."""
+    with Video(arm_video) as video:
+        assert (video.size_wh, video.claimed_frames, video.codec) == ((160, 120), FRAMES, "h264")
+        assert video.frame_rate == pytest.approx(30)
+        frames = list(video)
+        assert video.warnings == []
+        assert video.complete
+    assert [frame.index for frame in frames] == list(range(FRAMES))
+    assert [film.frame_number(frame.image) for frame in frames] == list(range(FRAMES))
+    np.testing.assert_allclose([frame.time_s for frame in frames], np.arange(FRAMES) / 30, atol=1e-4)
+    assert not any(frame.damaged for frame in frames)
+
+
+@pytest.mark.parametrize(
+    ("name", "codec", "options"),
+    [
+        ("a.mkv", "libx264", {"bf": "3"}),
+        ("a.avi", "libx264", {"bf": "3"}),
+        ("b.avi", "mpeg4", {"bf": "2"}),
+        ("c.avi", "mjpeg", {}),
+        ("a.ts", "libx264", {"bf": "3"}),
+        ("a.mov", "libx264", {"bf": "3"}),
+        ("a.webm", "libvpx", {"auto-alt-ref": "1", "lag-in-frames": "16", "cpu-used": "5"}),
+        ("b.webm", "libvpx-vp9", {"deadline": "realtime", "cpu-used": "8"}),
+        ("h.mp4", "libx265", {"x265-params": "log-level=none"}),
+    ],
+)
+def test_containers_and_codecs(tmp_path, arm_images, film, name, codec, options):
+    pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"
+    path = film.encode(tmp_path / name, arm_images, codec=codec, options=options, pix_fmt=pix_fmt)
+    video = Video(path)
+    frames = list(video)
+    assert [film.frame_number(frame.image) for frame in frames] == list(range(FRAMES))
+    np.testing.assert_allclose([frame.time_s for frame in frames], np.arange(FRAMES) / 30, atol=1.1e-3)
+    assert video.warnings == []
+
+
+def test_colours_survive(tmp_path, film):
+    image = np.zeros((64, 96, 3), np.uint8)
+    image[:, :32], image[:, 32:64], image[:, 64:] = (230, 40, 30), (20, 160, 110), (10, 110, 180)
+    path = film.encode(tmp_path / "colour.mp4", [image] * 3, options={"crf": "5"})
+    found = read_frame(path, 1)
+    for column in (16, 48, 80):
+        np.testing.assert_allclose(found[32, column].astype(int), image[32, column], atol=6)
+
+
+def test_variable_frame_rate_keeps_its_odd_times(tmp_path, film, arm_images):
+    times_s = np.round(np.cumsum(np.random.default_rng(1).uniform(0.008, 0.05, FRAMES)) + 3.7, 3)
+    for name in ("odd.mp4", "odd.mkv"):
+        path = film.encode(tmp_path / name, arm_images, times_s=list(times_s))
+        found = np.array([frame.time_s for frame in Video(path)])
+        np.testing.assert_allclose(found, times_s - times_s[0], atol=1.1e-3 if name.endswith("mkv") else 2e-5)
+
+
+def test_frames_before_an_edit_list_are_not_shown(tmp_path, arm_video, film):
+    """A phone's trimmed clip: the file holds frames that no player shows. They have no rows."""
+    path = tmp_path / "trimmed.mp4"
+    with av.open(str(arm_video)) as source, av.open(str(path), "w") as target:
+        stream = target.add_stream_from_template(source.streams.video[0])
+        step = int(1 / 30 / source.streams.video[0].time_base)
+        for packet in source.demux(video=0):
+            if packet.size:
+                packet.pts, packet.dts, packet.stream = packet.pts - 5 * step, packet.dts - 5 * step, stream
+                target.mux(packet)
+    video = Video(path)
+    frames = list(video)
+    assert [film.frame_number(frame.image) for frame in frames] == list(range(5, FRAMES))
+    assert frames[0].time_s == 0
+    assert video.warnings == []
+
+
+def test_stream_without_times_says_so(tmp_path, arm_images, film):
+    video = Video(film.encode(tmp_path / "raw.h264", arm_images))
+    frames = list(video)
+    assert [film.frame_number(frame.image) for frame in frames] == list(range(FRAMES))
+    assert np.all(np.diff([frame.time_s for frame in frames]) > 0)
+    assert any("no presentation times" in warning for warning in video.warnings)
+
+
+@pytest.mark.parametrize("rotation_deg", [0, 90, 180, 270])
+@pytest.mark.parametrize("flip", [False, True])
+def test_rotation_metadata_is_applied(tmp_path, film, rotation_deg, flip):
+    """Every corner lands where a player shows it: turned counterclockwise, then mirrored left to right."""
+    image = np.zeros((80, 128, 3), np.uint8)
+    image[:40, :64], image[:40, 64:], image[40:, :64] = (255, 0, 0), (0, 255, 0), (0, 0, 255)
+    path = film.encode(
+        tmp_path / "turned.mp4", [image] * 2, rotation_deg=rotation_deg, flip=flip, options={"crf": "5"}
+    )
+    expected = np.rot90(image, rotation_deg // 90)[:, :: -1 if flip else 1]
+    video = Video(path)
+    found = next(iter(video)).image
+    assert found.shape == expected.shape
+    assert video.size_wh == found.shape[1::-1]
+    assert np.median(np.abs(found.astype(int) - expected)) <= 3
+    inner = np.ix_([20, found.shape[0] - 20], [20, found.shape[1] - 20])
+    np.testing.assert_allclose(found[inner].astype(int), expected[inner], atol=12)
+
+
+def test_turn_that_is_not_a_quarter_is_left_and_said(tmp_path, film, arm_images):
+    video = Video(film.encode(tmp_path / "skew.mp4", arm_images[:2], rotation_deg=30))
+    assert video.size_wh == (160, 120)
+    assert "30 degrees" in video.warnings[0]
+
+
+def test_odd_size_and_single_frame(tmp_path, film):
+    image = film.draw_arm(30, (161, 121))
+    path = film.encode(tmp_path / "one.mkv", [image], codec="ffv1", pix_fmt="yuv444p")
+    video = Video(path)
+    frames = list(video)
+    assert len(frames) == 1
+    assert frames[0].image.shape == (121, 161, 3)
+    assert video.size_wh == (161, 121)
+    assert frames[0].time_s == 0
+    assert video.warnings == []
+
+
+def test_audio_beside_the_picture_does_not_matter(tmp_path, film, arm_images):
+    path = film.encode(tmp_path / "sound.mp4", arm_images[:10], with_audio=True)
+    assert len(list(Video(path))) == 10
+
+
+def test_camera_pause_is_said_but_nothing_is_missing(tmp_path, film, arm_images):
+    times_s = np.arange(FRAMES) / 30
+    times_s[30:] += 1.5
+    video = Video(film.encode(tmp_path / "pause.mp4", arm_images, times_s=list(times_s)))
+    assert len(list(video)) == FRAMES
+    assert video.complete
+    assert "no frame for 1.533 s after 0.967 s" in video.warnings[0]
+
+
+def test_frames_that_an_avi_recorder_dropped_are_no_lost_frames(tmp_path, film, arm_images):
+    """Its header counts the slots; the dropped ones are empty and have no picture."""
+    slots = [0, 1, 2, 3, 6, 7, 8, 9, 10, 11]
+    path = film.encode(
+        tmp_path / "dropped.avi",
+        arm_images[:10],
+        codec="mjpeg",
+        pix_fmt="yuvj420p",
+        times_s=[slot / 30 for slot in slots],
+    )
+    video = Video(path)
+    np.testing.assert_allclose([frame.time_s for frame in video], np.array(slots) / 30, atol=1e-3)
+    assert video.complete
+
+
+def test_iterating_again_starts_anew(arm_video):
+    video = Video(arm_video)
+    for frame in video:
+        if frame.index == 3:
+            break
+    assert [frame.index for frame in video] == list(range(FRAMES))
+
+
+def test_read_frame_is_the_frame_of_that_index(arm_video, film):
+    for index in (0, 1, 33, FRAMES - 1):
+        assert film.frame_number(read_frame(arm_video, index)) == index
+    with pytest.raises(VideoError, match="from 0 to 59, got 60"):
+        read_frame(arm_video, 60)
+    with pytest.raises(VideoError, match="got -1"):
+        read_frame(arm_video, -1)
+
+
+def test_names_and_hashes(tmp_path):
+    path = tmp_path / "a trial.0.25Hz.mp4"
+    path.write_bytes(b"x" * 3_000_000)
+    assert video_stem(path) == "a trial.0.25Hz"
+    assert file_sha256(path) == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def test_colon_in_the_name_is_no_protocol(tmp_path, arm_video, monkeypatch):
+    shutil.copy(arm_video, tmp_path / "take 1: slow.mp4")
+    monkeypatch.chdir(tmp_path)
+    assert Video("take 1: slow.mp4").size_wh == (160, 120)
+
+
+# --- damaged files
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    ("name", "codec", "options"),
+    [
+        ("a.mp4", "libx264", {"g": "20", "bf": "3"}),
+        ("a.avi", "libx264", {"g": "20", "bf": "3"}),
+        ("a.mp4", "mpeg4", {"g": "12"}),
+    ],
+)
+def test_no_picture_that_damage_changed_is_given_out_as_sound(
+    tmp_path, film, arm_images, name, codec, options, seed
+):
+    """FFmpeg conceals errors and decodes on from concealed pictures; they must not pass as measured."""
+    whole = film.encode(tmp_path / f"whole_{name}", arm_images, codec=codec, options=options)
+    places = film.packet_places(whole)
+    hit = int(np.random.default_rng(seed).integers(3, FRAMES - 3))
+    video = Video(damage(whole, tmp_path / name, [places[hit]], seed))
+    frames = list(video)
+    truth = [frame.image for frame in Video(whole)]
+    assert len(frames) == FRAMES
+    assert sum(frame.decoded is None for frame in frames) == 1
+    for frame, image in zip(frames, truth, strict=True):
+        if frame.decoded is not None and not frame.damaged:
+            np.testing.assert_array_equal(frame.image, image)
+    last_gop = hit // 20 == FRAMES // 20 - 1 or codec == "mpeg4"
+    assert last_gop or not frames[-1].damaged  # the next key frame ends the damage
+    np.testing.assert_allclose([frame.time_s for frame in frames], np.arange(FRAMES) / 30, atol=1e-3)
+    assert "1 of 60 frames could not be decoded" in video.warnings[0]
+    assert not video.complete
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi"])
+def test_packets_that_give_no_picture_keep_their_rows(tmp_path, film, arm_images, suffix):
+    whole = film.encode(
+        tmp_path / f"whole{suffix}", arm_images, options={"g": "20", "bf": "0"}, container_options={}
+    )
+    places = film.packet_places(whole)
+    data = bytearray(whole.read_bytes())
+    for hit in (25, 45):
+        position, size = places[hit]
+        data[position + 6 : position + size] = np.random.default_rng(hit).bytes(size - 6)
+    path = tmp_path / f"holes{suffix}"
+    path.write_bytes(data)
+    video = Video(path)
+    frames = list(video)
+    assert [frame.index for frame in frames if frame.decoded is None] == [25, 45]
+    assert [frame.index for frame in frames if frame.damaged] == [*range(26, 40), *range(46, 60)]
+    sound = [frame for frame in frames if frame.decoded is not None and not frame.damaged]
+    assert all(film.frame_number(frame.image) == frame.index for frame in sound)
+    np.testing.assert_allclose([frame.time_s for frame in frames], np.arange(FRAMES) / 30, atol=1.1e-3)
+    with pytest.raises(VideoError, match="frame 25 cannot be decoded"):
+        read_frame(path, 25)
+
+
+def test_mjpeg_loses_only_the_damaged_frame(tmp_path, film, arm_images):
+    whole = film.encode(tmp_path / "whole.avi", arm_images, codec="mjpeg", pix_fmt="yuvj420p")
+    position, size = film.packet_places(whole)[30]
+    data = bytearray(whole.read_bytes())
+    data[position : position + size] = bytes(size)
+    path = tmp_path / "hole.avi"
+    path.write_bytes(data)
+    frames = list(Video(path))
+    assert [frame.index for frame in frames if frame.decoded is None] == [30]
+    assert not any(frame.damaged for frame in frames)
+    assert [film.frame_number(frame.image) for frame in frames if frame.decoded] == [
+        n for n in range(FRAMES) if n != 30
+    ]
+
+
+def test_frames_lost_with_a_piece_of_matroska_are_noticed(tmp_path, film, arm_images):
+    """A zeroed stretch swallows whole packets; nothing in the file counts frames, but the clock jumps."""
+    whole = film.encode(tmp_path / "whole.mkv", arm_images, codec="mjpeg", pix_fmt="yuvj420p")
+    places = film.packet_places(whole)
+    data = bytearray(whole.read_bytes())
+    start, end = places[20][0] - 20, places[26][0]
+    data[start:end] = bytes(end - start)
+    path = tmp_path / "gap.mkv"
+    path.write_bytes(data)
+    video = Video(path)
+    n_sound = sum(frame.decoded is not None for frame in video)
+    assert n_sound < FRAMES - 5
+    assert not video.complete
+    assert any("no frame for" in warning or "cut short" in warning for warning in video.warnings)
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi"])
+def test_file_cut_in_the_middle_gives_what_there_is_and_a_warning(tmp_path, film, arm_images, suffix):
+    whole = film.encode(
+        tmp_path / f"whole{suffix}",
+        arm_images,
+        options={"g": "20", "bf": "0"},
+        container_options={"movflags": "+faststart"} if suffix == ".mp4" else {},
+    )
+    video = Video(cut(whole, tmp_path / f"cut{suffix}", 0.7))
+    frames = list(video)
+    assert 20 < len(frames) < FRAMES
+    sound = [frame for frame in frames if frame.decoded is not None]
+    assert len(sound) >= len(frames) - 1
+    assert [film.frame_number(frame.image) for frame in sound] == [frame.index for frame in sound]
+    assert not video.complete
+    assert any("cut short" in warning for warning in video.warnings)
+
+
+def test_count_claimed_too_large_is_said(tmp_path, film, arm_images):
+    whole = film.encode(tmp_path / "whole.avi", arm_images, codec="mjpeg", pix_fmt="yuvj420p")
+    data = bytearray(whole.read_bytes())
+    length = data.index(b"strh") + 8 + 32  # AVISTREAMHEADER.dwLength
+    assert int.from_bytes(data[length : length + 4], "little") == FRAMES
+    data[length : length + 4] = (90).to_bytes(4, "little")
+    path = tmp_path / "claims.avi"
+    path.write_bytes(data)
+    video = Video(path)
+    assert video.claimed_frames == 90
+    assert len(list(video)) == FRAMES
+    assert video.warnings == ["the file claims 90 frames, 60 were found: it is cut short or damaged"]
+    assert not video.complete
+
+
+# --- no video at all
+
+
+def test_what_is_no_video_is_refused_in_one_line(tmp_path, arm_video, arm_images, film):
+    def audio_only(path: Path) -> None:
+        with av.open(str(path), "w") as container:
+            stream = container.add_stream("aac", rate=16_000)
+            for n in range(20):
+                sound = av.AudioFrame.from_ndarray(np.zeros((1, 1024), np.float32), "fltp", "mono")
+                sound.sample_rate, sound.pts = 16_000, 1024 * n
+                container.mux(stream.encode(sound))
+            container.mux(stream.encode(None))
+
+    def zeroed(path: Path) -> None:
+        data = bytearray(arm_video.read_bytes())
+        for position, size in film.packet_places(arm_video):
+            data[position : position + size] = bytes(size)
+        path.write_bytes(data)
+
+    def without_index(path: Path) -> None:
+        cut(film.encode(tmp_path / "index_last.mp4", arm_images), path, 0.6)
+
+    cases = {
+        "empty.mp4": (lambda path: path.touch(), "is empty"),
+        "text.mp4": (lambda path: path.write_text("no video\n" * 200), "not a video"),
+        "notes.txt": (lambda path: path.write_text("no video\n" * 200), "got a picture or text"),
+        "photo.png": (lambda path: cv2.imwrite(str(path), arm_images[0]), "got a picture or text"),
+        "sound.m4a": (audio_only, "found only audio"),
+        "index.mp4": (without_index, "cut off before its index was written"),
+        "zeroed.mp4": (zeroed, "no frame that can be decoded"),
+        "folder.mp4": (lambda path: path.mkdir(), "got a folder"),
+        "missing.mp4": (lambda path: None, "no such file"),
+    }
+    for name, (make, message) in cases.items():
+        path = tmp_path / name
+        make(path)
+        with pytest.raises(VideoError, match=message) as caught:
+            Video(path)
+        assert name in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+
+def test_memory_does_not_grow_with_the_video(tmp_path, film):
+    """Peak memory of reading 3000 frames against 300, each in a process of its own."""
+    images = [film.draw_arm(a, (320, 240)) for a in np.linspace(0, 90, 20)]
+    peaks = []
+    for count in (300, 3000):
+        path = film.encode(
+            tmp_path / f"{count}.mp4",
+            [images[n % 20] for n in range(count)],
+            options={"preset": "ultrafast", "g": "50"},
+        )
+        code = (
+            "import resource, sys; from bendtrack.tracker.video import Video\n"
+            "n = sum(frame.image.shape[0] > 0 for frame in Video(sys.argv[1]))\n"
+            "print(n, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+        )
+        out = subprocess.run(
+            [sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=True
+        )
+        n, peak = map(int, out.stdout.split())
+        assert n == count
+        peaks.append(peak)
+    assert peaks[1] < 1.1 * peaks[0]
+
+
+# --- writing
+
+
+def test_written_video_keeps_times_size_and_colours(tmp_path, film):
+    """Odd sizes are padded to even ones; times may be uneven; the index stands in front of the pictures."""
+    times_s = [0, 0.02, 0.12, 0.153, 0.9]
+    images = [film.draw_arm(20 * n, (161, 121), number=n) for n in range(5)]
+    path = tmp_path / "out.mp4"
+    with VideoWriter(path, (161, 121), 29.97) as writer:
+        for image, time_s in zip(images, times_s, strict=True):
+            writer.write(image, time_s)
+    video = Video(path)
+    frames = list(video)
+    assert video.size_wh == (162, 122)
+    np.testing.assert_allclose([frame.time_s for frame in frames], times_s, atol=2e-5)
+    for frame, image in zip(frames, images, strict=True):
+        assert np.mean(np.abs(frame.image[:121, :161].astype(int) - image)) < 4
+    with av.open(str(path)) as container:
+        assert container.streams.video[0].codec_context.pix_fmt == "yuv420p"
+    data = path.read_bytes()
+    assert data.index(b"moov") < data.index(b"mdat")
+
+
+def test_times_that_do_not_increase_are_moved_a_hair(tmp_path, film):
+    path = tmp_path / "out.mp4"
+    with VideoWriter(path, (160, 120), 30) as writer:
+        for time_s in (0.0, 0.1, 0.1, 0.05, 0.2):
+            writer.write(film.draw_arm(0), time_s)
+    times_s = [frame.time_s for frame in Video(path)]
+    assert np.all(np.diff(times_s) > 0)
+    np.testing.assert_allclose(times_s, [0, 0.1, 0.1, 0.1, 0.2], atol=1e-3)
+
+
+def test_failed_writing_leaves_the_old_file_and_nothing_else(tmp_path, film):
+    path = tmp_path / "out.mp4"
+    path.write_bytes(b"old")
+
+    def fail_while_drawing() -> None:
+        with VideoWriter(path, (160, 120), 30) as writer:
+            writer.write(film.draw_arm(0))
+            raise RuntimeError("drawing failed")
+
+    with pytest.raises(RuntimeError, match="drawing failed"):
+        fail_while_drawing()
+    with pytest.raises(VideoError, match="no frames"), VideoWriter(path, (160, 120), 30):
+        pass
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_unwritable_place_is_one_line(tmp_path):
+    with pytest.raises(VideoError, match="cannot be written"):
+        VideoWriter(tmp_path / "missing" / "out.mp4", (160, 120), 30)
+
+
+# --- reading ahead
+
+
+def test_read_ahead_hands_over_errors_and_stops_when_told():
+    closed = []
+
+    def numbers(fail_at: int | None = None):
+        try:
+            for n in range(1000):
+                if n == fail_at:
+                    raise VideoError("broken")
+                yield n
+        finally:
+            closed.append(True)
+
+    broken = read_ahead(numbers(fail_at=5))
+    assert [next(broken) for _ in range(5)] == [0, 1, 2, 3, 4]
+    with pytest.raises(VideoError, match="broken"):
+        next(broken)
+    with closing(read_ahead(numbers())) as ahead:
+        assert next(ahead) == 0
+    assert closed == [True, True]

@@ -1,0 +1,300 @@
+"""The angle table: what it holds, and how it is written (CSV, HDF5, JSON) and read back.
+
+How the numbers come about is in `tracking.py`; whether files on disk are up to date in `bookkeeping.py`;
+pictures of them in `figures.py` and `overlay.py`.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from .angle import AngleDefinition
+from .atomic import atomic_path, atomic_write_text
+from .errors import AngleError, ResultsError
+from .types import FloatArray
+from .video import file_sha256
+
+# Raised when the files' layout changes, so that older results count as out of date.
+FORMAT = 1
+
+_UNITS = {
+    "time_s": "s",
+    "angle_deg": "degree",
+    "angle_sd_deg": "degree",
+    "xy": "px",
+    "likelihood": "1",
+    "covariance": "px^2",
+}
+# Decimals in the CSV: finer than any camera, label or clock; the HDF5 holds the full numbers.
+_DECIMALS = {"time_s": 6, "angle_deg": 4, "angle_sd_deg": 4, "x": 3, "y": 3, "likelihood": 4}
+
+
+@dataclass(frozen=True)
+class AngleTable:
+    """Bending angle over time, one row for every frame of a video.
+
+    Attributes
+    ----------
+    time_s : (T,) seconds from the first frame
+    angle_deg, angle_sd_deg : (T,) degrees, NaN where unknown
+    flag : (T,) strings, values of `types.Flag`; "" is a sound row
+    xy : (T, K, 2) px of the full frame
+    likelihood : (T, K)
+    covariance : (T, K, 2, 2) px^2
+    keypoints : K names
+    definition : which angle; None if the file read (a CSV alone) does not say
+    provenance : JSON-ready: versions, video, detector, settings, warnings
+    """
+
+    time_s: FloatArray
+    angle_deg: FloatArray
+    angle_sd_deg: FloatArray
+    flag: NDArray[np.str_]
+    xy: FloatArray
+    likelihood: FloatArray
+    covariance: FloatArray
+    keypoints: tuple[str, ...]
+    definition: AngleDefinition | None
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "flag", np.asarray([str(flag) for flag in self.flag], dtype=np.str_))
+        object.__setattr__(self, "keypoints", tuple(self.keypoints))
+        t, k = len(self.time_s), len(self.keypoints)
+        expected = {
+            "angle_deg": (t,),
+            "angle_sd_deg": (t,),
+            "flag": (t,),
+            "xy": (t, k, 2),
+            "likelihood": (t, k),
+            "covariance": (t, k, 2, 2),
+        }
+        for name, shape in expected.items():
+            if getattr(self, name).shape != shape:
+                raise ValueError(f"expected {name} {shape}, got {getattr(self, name).shape}")
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The CSV's columns: frame, time_s, angle_deg, angle_sd_deg, flag; x, y, likelihood a keypoint."""
+        columns: dict[str, Any] = {
+            "frame": np.arange(len(self)),
+            "time_s": self.time_s,
+            "angle_deg": self.angle_deg,
+            "angle_sd_deg": self.angle_sd_deg,
+            "flag": self.flag.astype(object),
+        }
+        for k, name in enumerate(self.keypoints):
+            columns[f"{name}_x"] = self.xy[:, k, 0]
+            columns[f"{name}_y"] = self.xy[:, k, 1]
+            columns[f"{name}_likelihood"] = self.likelihood[:, k]
+        return pd.DataFrame(columns)
+
+
+def write_results(table: AngleTable, out_dir: str | Path, stem: str) -> tuple[Path, Path, Path]:
+    """Write `<stem>.h5`, `<stem>.csv` and `<stem>.json`, each whole or not at all.
+
+    The JSON comes last and holds the hashes of the other two, so after a kill at any moment either it fits
+    them, or `bookkeeping.is_up_to_date` says no. The HDF5 comes first: it tells whose files these are.
+
+    Returns
+    -------
+    paths of the CSV, the HDF5 and the JSON
+
+    Raises
+    ------
+    ResultsError
+        The files cannot be written.
+    """
+    folder = Path(out_dir)
+    csv_path, h5_path, json_path = (folder / f"{stem}{suffix}" for suffix in (".csv", ".h5", ".json"))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with atomic_path(h5_path) as temporary:
+            _write_h5(table, temporary)
+        with atomic_path(csv_path) as temporary:
+            _write_csv(table, temporary)
+        record = {
+            "bendtrack": None,
+            **json_ready(table.provenance),
+            "format": FORMAT,
+            "keypoints": list(table.keypoints),
+            "definition": json_ready(_definition_fields(table)),
+            "files": {path.suffix[1:]: file_sha256(path) for path in (csv_path, h5_path)},
+        }
+        atomic_write_text(json_path, json.dumps(record, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise ResultsError(f"{folder / stem}.*: results cannot be written ({reason})") from error
+    return csv_path, h5_path, json_path
+
+
+def read_results(path: str | Path) -> AngleTable:
+    """Read an angle table from its .h5 (exact), its .csv, or its .json (the .h5 or else the .csv beside it).
+
+    A CSV holds no covariances: they are NaN. Definition and provenance come from the JSON beside it if that
+    belongs to it (by hash), else they are None and empty.
+
+    Raises
+    ------
+    ResultsError
+        The file is missing, malformed or not an angle table.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise ResultsError(f"{path}: no such results file")
+    if path.suffix == ".h5":
+        return _read_h5(path)
+    if path.suffix == ".csv":
+        return _read_csv(path)
+    if path.suffix == ".json":
+        read_record(path)
+        for reader, beside in ((_read_h5, path.with_suffix(".h5")), (_read_csv, path.with_suffix(".csv"))):
+            if beside.is_file():
+                return reader(beside)
+        raise ResultsError(f"{path}: expected its .h5 or .csv beside it, found neither")
+    raise ResultsError(f"{path}: expected results in .csv, .h5 or .json, got '{path.suffix}'")
+
+
+def read_record(path: Path) -> dict[str, Any]:
+    """The JSON beside a table as it stands.
+
+    Raises
+    ------
+    ResultsError
+        It cannot be read or is not bendtrack's.
+    """
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ResultsError(f"{path}: cannot be read as JSON ({error})") from error
+    if not isinstance(record, dict) or "bendtrack" not in record:
+        raise ResultsError(f"{path}: expected bendtrack's results record, got other JSON")
+    return record
+
+
+def json_ready(value: Any) -> Any:
+    """Plain JSON values: tuples as lists, numpy scalars as numbers, NaN and infinities as null."""
+    if isinstance(value, Mapping):
+        return {str(key): json_ready(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [json_ready(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return str(value) if isinstance(value, str | Path) else value
+
+
+def _definition_fields(table: AngleTable) -> dict[str, Any] | None:
+    return None if table.definition is None else asdict(table.definition)
+
+
+def _write_csv(table: AngleTable, path: Path) -> None:
+    frame = table.to_dataframe()
+    for column in frame.columns:
+        decimals = _DECIMALS.get(column, _DECIMALS.get(column.rpartition("_")[2]))
+        if decimals is not None:
+            values = np.round(frame[column].to_numpy(dtype=float), decimals) + 0.0  # no "-0.000"
+            frame[column] = np.where(np.isnan(values), "", np.char.mod(f"%.{decimals}f", values))
+    frame.to_csv(path, index=False, lineterminator="\n")
+
+
+def _read_csv(path: Path) -> AngleTable:
+    try:
+        frame = pd.read_csv(path, float_precision="round_trip")
+    except (OSError, ValueError) as error:
+        raise ResultsError(f"{path}: cannot be read as a CSV ({str(error).splitlines()[0]})") from error
+    expected = ["frame", "time_s", "angle_deg", "angle_sd_deg", "flag"]
+    points = list(frame.columns[len(expected) :])
+    keypoints = tuple(str(column).removesuffix("_x") for column in points[::3])
+    wanted = [f"{name}_{part}" for name in keypoints for part in ("x", "y", "likelihood")]
+    if list(frame.columns[: len(expected)]) != expected or points != wanted:
+        raise ResultsError(
+            f"{path}: expected columns {','.join(expected)},<keypoint>_x,<keypoint>_y,<keypoint>_likelihood "
+            f"got {','.join(map(str, frame.columns))}"
+        )
+    if not np.array_equal(frame["frame"], np.arange(len(frame))):
+        raise ResultsError(f"{path}: expected the rows of frames 0 to {len(frame) - 1} in order")
+    try:
+        numbers = frame.drop(columns=["frame", "flag"]).astype(float)
+    except ValueError as error:
+        raise ResultsError(f"{path}: expected numbers or empty cells ({error})") from error
+    values = numbers[wanted].to_numpy().reshape(len(frame), len(keypoints), 3)
+    definition, provenance = _definition_beside(path)
+    return AngleTable(
+        time_s=numbers["time_s"].to_numpy(),
+        angle_deg=numbers["angle_deg"].to_numpy(),
+        angle_sd_deg=numbers["angle_sd_deg"].to_numpy(),
+        flag=frame["flag"].astype(object).where(frame["flag"].notna(), "").to_numpy(),
+        xy=values[:, :, :2].copy(),
+        likelihood=values[:, :, 2].copy(),
+        covariance=np.full((len(frame), len(keypoints), 2, 2), np.nan),
+        keypoints=keypoints,
+        definition=definition,
+        provenance=provenance,
+    )
+
+
+def _definition_beside(csv_path: Path) -> tuple[AngleDefinition | None, dict[str, Any]]:
+    try:
+        record = read_record(csv_path.with_suffix(".json"))
+    except ResultsError:
+        return None, {}
+    if record.get("files", {}).get("csv") != file_sha256(csv_path):
+        return None, {}
+    added = ("format", "keypoints", "definition", "files")
+    provenance = {key: value for key, value in record.items() if key not in added}
+    return _definition(csv_path, record.get("definition")), provenance
+
+
+def _definition(path: Path, fields: dict[str, Any] | None) -> AngleDefinition | None:
+    try:
+        return None if fields is None else AngleDefinition(**fields)
+    except (TypeError, AngleError) as error:
+        raise ResultsError(f"{path}: its angle definition cannot be read ({error})") from error
+
+
+def _write_h5(table: AngleTable, path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        for name, unit in _UNITS.items():
+            values = getattr(table, name)
+            file.create_dataset(name, data=values, compression="gzip", shuffle=True).attrs["units"] = unit
+        file.create_dataset("flag", data=table.flag.astype(object), dtype=h5py.string_dtype())
+        file.create_dataset("keypoints", data=list(table.keypoints), dtype=h5py.string_dtype())
+        file["xy"].attrs["axes"] = (
+            "frame, keypoint, (x, y); (0, 0) is the centre of the top-left pixel, y down"
+        )
+        file["covariance"].attrs["axes"] = "frame, keypoint, (x, y), (x, y)"
+        file["likelihood"].attrs["axes"] = "frame, keypoint"
+        # As data sets, not attributes: those end at 64 KiB.
+        for name, value in (("definition", _definition_fields(table)), ("provenance", table.provenance)):
+            text = json.dumps(json_ready(value), ensure_ascii=False, allow_nan=False)
+            file.create_dataset(name, data=text, dtype=h5py.string_dtype())
+        file.attrs["format"] = FORMAT
+
+
+def _read_h5(path: Path) -> AngleTable:
+    try:
+        with h5py.File(path, "r") as file:
+            arrays = {name: file[name][()] for name in _UNITS}
+            flag = file["flag"].asstr()[()]
+            keypoints = tuple(file["keypoints"].asstr()[()])
+            fields = json.loads(file["definition"].asstr()[()])
+            provenance = json.loads(file["provenance"].asstr()[()])
+    except (OSError, KeyError, ValueError) as error:
+        raise ResultsError(f"{path}: cannot be read as bendtrack's HDF5 ({error})") from error
+    return AngleTable(
+        **arrays, flag=flag, keypoints=keypoints, definition=_definition(path, fields), provenance=provenance
+    )

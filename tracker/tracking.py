@@ -1,0 +1,189 @@
+"""From a video and a detector to an angle table: decoding runs beside detection, every frame gets its row.
+
+Knows no network: any `types.Detector` will do. Decoding is in `video.py`, the angle in `angle.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from contextlib import closing
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .angle import AngleDefinition, bending_angle
+from .errors import AngleError
+from .read_ahead import read_ahead
+from .results import AngleTable, json_ready
+from .types import Detector, Flag, FloatArray, ImageArray
+from .video import Video, file_sha256
+
+# DeepLabCut's pcutoff, which users know.
+MIN_LIKELIHOOD = 0.6
+# Batches decoded ahead: one being used, one ready, one in the making.
+_BATCHES_AHEAD = 2
+
+Progress = Callable[[int, int | None], None]
+
+
+@dataclass
+class _Batch:
+    """Consecutive frames: their times and states, and the pictures of those that could be decoded."""
+
+    time_s: list[float] = field(default_factory=list)
+    decoded: list[bool] = field(default_factory=list)
+    damaged: list[bool] = field(default_factory=list)
+    images: list[ImageArray] = field(default_factory=list)
+
+
+def track(
+    video: str | Path,
+    detector: Detector,
+    definition: AngleDefinition,
+    *,
+    min_likelihood: float = MIN_LIKELIHOOD,
+    progress: Progress | None = None,
+    video_sha256: str | None = None,
+) -> AngleTable:
+    """Find the keypoints in every frame of a video and measure the bending angle.
+
+    Memory does not grow with the video, but for the table itself.
+
+    Parameters
+    ----------
+    video : the video file
+    detector : finds keypoints in frames
+    definition : which angle, of which of the detector's keypoints
+    min_likelihood : a row with a keypoint of the angle below this is flagged `low_likelihood`
+    progress : called after each batch with the number of frames done and the number claimed by the file
+    video_sha256 : the file's hash where the caller knows it already
+
+    Returns
+    -------
+    AngleTable
+        With a row for every frame, flagged as `types.Flag` says, and its provenance.
+
+    Raises
+    ------
+    VideoError
+        The video cannot be read.
+    AngleError
+        The definition names a keypoint that the detector does not find.
+    """
+    missing = [point for point in definition.points if point not in detector.keypoints]
+    if missing:
+        raise AngleError(
+            f"the angle needs keypoint '{missing[0]}', the detector finds {', '.join(detector.keypoints)}"
+        )
+    source = Video(video)
+    k = len(detector.keypoints)
+    time_s: list[float] = []
+    decoded: list[bool] = []
+    damaged: list[bool] = []
+    found: list[tuple[FloatArray, FloatArray, FloatArray]] = []
+    with closing(read_ahead(_batches(source, detector.batch_size), _BATCHES_AHEAD)) as batches:
+        for batch in batches:
+            if batch.images:
+                detections = detector.detect(np.stack(batch.images))
+                if detections.likelihood.shape != (len(batch.images), k):
+                    raise ValueError(
+                        f"expected detections of {len(batch.images)} frames and {k} keypoints, "
+                        f"got {detections.likelihood.shape}"
+                    )
+                found.append((detections.xy, detections.likelihood, detections.covariance))
+            time_s += batch.time_s
+            decoded += batch.decoded
+            damaged += batch.damaged
+            if progress is not None:
+                progress(len(time_s), source.claimed_frames)
+
+    is_decoded = np.array(decoded)
+    xy = _scatter([xy for xy, _, _ in found], is_decoded, (k, 2))
+    likelihood = _scatter([likelihood for _, likelihood, _ in found], is_decoded, (k,))
+    covariance = _scatter([covariance for _, _, covariance in found], is_decoded, (k, 2, 2))
+    angle_deg, angle_sd_deg, coincident = bending_angle(xy, detector.keypoints, definition, covariance)
+    chain = [detector.keypoints.index(point) for point in definition.points]
+    outside = _outside(xy[:, chain], source.size_wh)
+    for lost in (coincident, outside):
+        angle_deg[lost] = angle_sd_deg[lost] = np.nan
+    with np.errstate(invalid="ignore"):
+        unlikely = (likelihood[:, chain] < min_likelihood).any(axis=1) | np.isnan(angle_deg)
+    flag = np.select(
+        [~is_decoded, coincident, outside, np.array(damaged), unlikely],
+        [Flag.UNDECODABLE, Flag.COINCIDENT_POINTS, Flag.OUT_OF_FRAME, Flag.DAMAGED, Flag.LOW_LIKELIHOOD],
+        default=Flag.NONE,
+    )
+    provenance = {
+        "bendtrack": version("bendtrack"),
+        "video": {
+            "name": source.path.name,
+            "sha256": video_sha256 or file_sha256(source.path),
+            "size_wh": source.size_wh,
+            "rotation_deg": source.rotation_deg,
+            "codec": source.codec,
+            "frame_rate": source.frame_rate,
+            "frames_claimed": source.claimed_frames,
+            "frames": len(time_s),
+            "frames_decoded": int(is_decoded.sum()),
+            "frames_undecodable": int((~is_decoded).sum()),
+            "frames_damaged": int(np.sum(damaged)),
+            "complete": source.complete,
+        },
+        "detector": detector.provenance,
+        "settings": tracking_settings(definition, min_likelihood),
+        "warnings": source.warnings,
+        "rows": {kind.value or "sound": int((flag == kind).sum()) for kind in Flag},
+    }
+    return AngleTable(
+        time_s=np.array(time_s),
+        angle_deg=angle_deg,
+        angle_sd_deg=angle_sd_deg,
+        flag=flag,
+        xy=xy,
+        likelihood=likelihood,
+        covariance=covariance,
+        keypoints=detector.keypoints,
+        definition=definition,
+        provenance=json_ready(provenance),
+    )
+
+
+def tracking_settings(definition: AngleDefinition, min_likelihood: float = MIN_LIKELIHOOD) -> dict[str, Any]:
+    """What besides video and detector decides the table; recorded in it and compared by `is_up_to_date`."""
+    settings: dict[str, Any] = json_ready({"angle": asdict(definition), "min_likelihood": min_likelihood})
+    return settings
+
+
+def _batches(source: Video, batch_size: int) -> Generator[_Batch, None, None]:
+    """Frames in batches of at most `batch_size` pictures, converted to RGB here, beside the detector."""
+    batch = _Batch()
+    for frame in source:
+        batch.time_s.append(frame.time_s)
+        batch.decoded.append(frame.decoded is not None)
+        batch.damaged.append(frame.damaged)
+        if frame.image is not None:
+            batch.images.append(frame.image)
+        # Counted by rows, so that a long undecodable stretch does not pile up either.
+        if len(batch.time_s) == batch_size:
+            yield batch
+            batch = _Batch()
+    if batch.time_s:
+        yield batch
+
+
+def _scatter(found: list[FloatArray], is_decoded: np.ndarray, shape: tuple[int, ...]) -> FloatArray:
+    """What was found in the decoded frames at its rows (T, ...), NaN in between."""
+    values = np.full((len(is_decoded), *shape), np.nan)
+    if found:
+        values[is_decoded] = np.concatenate(found)
+    return values
+
+
+def _outside(xy: FloatArray, size_wh: tuple[int, int]) -> np.ndarray:
+    """Rows (T,) with one of the points (T, P, 2) outside the frame, which ends half a px beyond centres."""
+    with np.errstate(invalid="ignore"):
+        outside = (xy < -0.5) | (xy > np.array(size_wh) - 0.5)
+    return np.asarray(outside.any(axis=(1, 2)))
