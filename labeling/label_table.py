@@ -139,8 +139,8 @@ def read_label_table(path: Path, scorer: str | None = None) -> LabelTable:
         if len(line) != len(lines[0]):
             raise LabelError(f"{where}: expected {len(lines[0])} cells, got {len(line)}")
         name = [part for cell in line[:first] for part in cell.strip().replace("\\", "/").split("/") if part]
-        if not name:
-            raise LabelError(f"{where}: expected the name of an image, got none")
+        if not name or ".." in name:
+            raise LabelError(f"{where}: expected the name of an image, got '{'/'.join(name)}'")
         cells = _cells(columns, line[first:], scorer, where)
         rows.append(LabelRow(name[-1], cells, name[-2] if len(name) > 1 else None, where))
     return LabelTable(tuple(dict.fromkeys(bodypart for _, bodypart, _ in columns)), tuple(rows))

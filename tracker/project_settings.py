@@ -28,6 +28,9 @@ _VIDEO_SUFFIXES = (
     *(".mts", ".ogv", ".ts", ".webm", ".wmv", ".y4m"),
 )
 
+# What pydantic calls by its Python name.
+_IN_TOML = {"dict_type": "a [section]", "model_type": "a [section]", "tuple_type": "a list"}
+
 # TOML arrays arrive as lists; what is in them stays strict.
 Names = Annotated[tuple[str, ...], Field(strict=False)]
 
@@ -196,6 +199,8 @@ def _in_words(mistake: ErrorDetails) -> str:
     if mistake["type"] == "missing":
         return f"expected the key '{key}', got none"
     message = mistake["msg"].replace("Input should be", "expected")
+    if mistake["type"] in _IN_TOML:
+        message = f"expected {_IN_TOML[mistake['type']]}"
     if mistake["type"] in ("name", "keypoints", "actuators", "angle"):
         return f"{key}: {message}" if key else message
     return f"{key}: {message}, got {mistake['input']!r}"

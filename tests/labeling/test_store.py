@@ -199,8 +199,9 @@ def test_two_scorers_side_by_side_in_one_file(store: LabelStore) -> None:
         (NEW_FORM.replace("img00010", "img00007"), r"line 5, column tip x: img00007.png is labelled twice"),
         (
             NEW_FORM.replace("labeled-data,v,img00010.png", ",,"),
-            r"line 5: expected the name of an image, got none",
+            "line 5: expected the name of an image, got ''",
         ),
+        (NEW_FORM.replace("v,img00010", "..,img00010"), r"name of an image, got 'labeled-data/\.\./img"),
         (NEW_FORM.replace(",", ";"), r"first rows begin with scorer, bodyparts, coords, got 'scorer;;;Ana"),
         ("", "got an empty file"),
         ("frame,x\n1,2\n", "got 'frame', '1'"),

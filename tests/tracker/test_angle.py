@@ -27,8 +27,8 @@ FINGER = ("base_1", "base_2", "mid", "tip_1", "tip_2")
 def finger(bend_deg: np.ndarray, heading_deg: float = 0.0) -> np.ndarray:
     """A clamped finger (T, 5, 2): straight clamp, arc of 200 px, straight tip. Made without the angle module.
 
-    It leaves the clamp along `heading_deg`, bends towards +y for a positive bend. Integrated in small steps: no
-    formula of a circle is shared with the code under test.
+    It leaves the clamp along `heading_deg`, bends towards +y for a positive bend. Integrated in small steps,
+    so that no formula of a circle is shared with the code under test.
     """
     steps = 4000
     out = []
@@ -38,7 +38,9 @@ def finger(bend_deg: np.ndarray, heading_deg: float = 0.0) -> np.ndarray:
         base = np.array([np.cos(np.radians(heading_deg)), np.sin(np.radians(heading_deg))])
         end = np.radians(heading_deg) + bend
         tip = path[-1] + 40 * np.array([np.cos(end), np.sin(end)])
-        out.append(np.array([-40 * base, [0.0, 0.0], path[steps // 2 - 1], path[-1], tip]) + [320.0, 240.0])
+        out.append(
+            np.array([-40 * base, [0.0, 0.0], path[steps // 2 - 1], path[-1], tip]) + np.array([320.0, 240.0])
+        )
     return np.array(out)
 
 
@@ -49,7 +51,7 @@ def arc_points(bend_deg: np.ndarray, count: int) -> np.ndarray:
     tangent = np.radians(bend_deg)[:, None] * (np.arange(steps) + 0.5) / steps
     path = 200 / steps * np.cumsum(np.stack([np.cos(tangent), np.sin(tangent)], axis=-1), axis=1)
     start = np.zeros((len(bend_deg), 1, 2))
-    return np.concatenate([start, path[:, every - 1 :: every]], axis=1) + [100.0, 300.0]
+    return np.concatenate([start, path[:, every - 1 :: every]], axis=1) + np.array([100.0, 300.0])
 
 
 def names(count: int) -> tuple[str, ...]:

@@ -102,29 +102,29 @@ KEYPOINTS = 'keypoints = ["a", "b", "c", "d"]\n'
     ("text", "message"),
     [
         ("keypoints = ['a',\n'b']\nscorer = me", "expected TOML, got a mistake: .*line 3"),
-        (KEYPOINTS + "[angel]\nsign = '+'", "unknown key 'angel' (did you mean 'angle'?); expected one of keypoints, "),
+        (KEYPOINTS + "[angel]\nsign = '+'", "unknown key 'angel' (did you mean 'angle'?); expected"),
         (
             KEYPOINTS + "[training]\nbackbon = 'resnet18'",
             "unknown key 'training.backbon' (did you mean 'backbone'?); expected one of backbone, init,",
         ),
         (KEYPOINTS + "[training]\nseed = 'seven'", "training.seed: expected a valid integer, got 'seven'"),
         (KEYPOINTS + "[training]\nmax_minutes = -1", "training.max_minutes: expected greater than 0, got -1"),
-        (KEYPOINTS + "[training]\nbackbone = 'vgg'", "training.backbone: expected 'resnet18', 'resnet34' or 'resnet50', got 'vgg'"),
-        (KEYPOINTS + "[tracking]\nmin_likelihood = '0.6'", "tracking.min_likelihood: expected a valid number, got '0.6'"),
+        (KEYPOINTS + "[training]\nbackbone = 'vgg'", "'resnet34' or 'resnet50', got 'vgg'"),
+        (KEYPOINTS + "[tracking]\nmin_likelihood = '0.6'", "expected a valid number, got '0.6'"),
         (KEYPOINTS + "[tracking]\nmin_likelihood = 60", "expected less than or equal to 1, got 60"),
         (KEYPOINTS + "[angle]\nsign = 'plus'", "angle.sign: expected 'auto', '+' or '-', got 'plus'"),
-        (KEYPOINTS + "[angle]\npoints = ['a', 'b', 'c', 'e']", "angle.points: expected some of the keypoints a, b, c, d, got e"),
-        (KEYPOINTS + "[angle]\npoints = ['a', 'b', 'c']", "angle 'two-vector' expected at least 4 points, got 3"),
-        (KEYPOINTS + "training = 3", "training: expected a valid dictionary"),
-        (KEYPOINTS + "[actuators]\nx = ['v.mp4']\ny = ['v']", "actuators: expected a video in one actuator, got 'v' in 'x' and in 'y'"),
+        (KEYPOINTS + "[angle]\npoints = ['a', 'b', 'c', 'e']", "some of the keypoints a, b, c, d, got e"),
+        (KEYPOINTS + "[angle]\npoints = ['a', 'b', 'c']", "'two-vector' expected at least 4 points, got 3"),
+        (KEYPOINTS + "training = 3", "training: expected a [section], got 3"),
+        (KEYPOINTS + "[actuators]\nx = ['v.mp4']\ny = ['v']", "in one actuator, got 'v' in 'x' and in 'y'"),
         ("scorer = 'me'", "expected the key 'keypoints', got none"),
         ("keypoints = []", "keypoints: expected at least one name, got none"),
         ("keypoints = ['a', 'b', 'a', 'c']", "keypoints: expected distinct names, got 'a' twice"),
-        ("keypoints = ['a', 'b,c', 'd', 'e']", "keypoint name of letters, digits, spaces and _ . + - (beginning with a"),
+        ("keypoints = ['a', 'b,c', 'd', 'e']", "name of letters, digits, spaces and _ . + - (beginning"),
         ("keypoints = ['a', '=1+2', 'd', 'e']", "got '=1+2'"),
         ("keypoints = ['a', ' b', 'd', 'e']", "got ' b'"),
         ("keypoints = ['a', 2, 'd', 'e']", "keypoints.1: expected a valid string, got 2"),
-        ("keypoints = 'a'", "keypoints: expected a valid tuple, got 'a'"),
+        ("keypoints = 'a'", "keypoints: expected a list, got 'a'"),
         ("keypoints = ['a', 'b']", "angle 'two-vector' expected at least 4 keypoints, got 2: a, b"),
     ],
 )  # fmt: skip
@@ -193,7 +193,8 @@ def test_auto_sign_is_judged_from_the_labels(tmp_path: Path) -> None:
 def test_assigning_videos_keeps_the_users_comments_and_moves_a_video(tmp_path: Path) -> None:
     root = project_with(
         tmp_path,
-        '# my study\nkeypoints = ["a", "b", "c", "d"]  # base first\n\n[actuators]\n# the first ones\nold = ["v1", "v2"]\n',
+        '# my study\nkeypoints = ["a", "b", "c", "d"]  # base first\n\n'
+        '[actuators]\n# the first ones\nold = ["v1", "v2"]\n',
     )
     project = Project.open(root)
     project.assign_actuator("new", ["somewhere/v2.mp4", "v3"])
