@@ -213,7 +213,7 @@ def _write_csv(table: AngleTable, path: Path) -> None:
 
 def _read_csv(path: Path) -> AngleTable:
     try:
-        frame = pd.read_csv(path, float_precision="round_trip")
+        frame = pd.read_csv(path)
     except (OSError, ValueError) as error:
         raise ResultsError(f"{path}: cannot be read as a CSV ({str(error).splitlines()[0]})") from error
     expected = ["frame", "time_s", "angle_deg", "angle_sd_deg", "flag"]

@@ -383,13 +383,13 @@ def test_what_is_no_video_is_refused_in_one_line(tmp_path, arm_video, arm_images
 
 def test_memory_does_not_grow_with_the_video(tmp_path, film):
     """Peak memory of reading 3000 frames against 300, each in a process of its own."""
-    images = [film.draw_arm(a, (320, 240)) for a in np.linspace(0, 90, 20)]
+    images = [film.draw_arm(angle) for angle in np.linspace(0, 90, 20)]
     peaks = []
     for count in (300, 3000):
         path = film.encode(
             tmp_path / f"{count}.mp4",
             [images[n % 20] for n in range(count)],
-            options={"preset": "ultrafast", "g": "50"},
+            codec="mpeg4",
         )
         code = (
             "import resource, sys; from bendtrack.tracker.video import Video\n"
