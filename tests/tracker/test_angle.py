@@ -91,6 +91,8 @@ def test_a_finger_curling_down_on_the_screen_is_positive_and_the_sign_multiplies
 def test_a_turn_of_exactly_180_is_positive(mirror: float) -> None:
     folded = np.array([[[0.0, 0.0], [10.0, 0.0], [5.0, mirror * 0.0]]])
     assert angle_of(folded, names(3), "three-point")[0] == 180.0
+    folded_to_the_left = np.array([[[10.0, 0.0], [0.0, 0.0], [5.0, mirror * 0.0]]])
+    assert angle_of(folded_to_the_left, names(3), "three-point")[0] == 180.0
     u_shape = np.array([[[0.0, 0.0], [10.0, 0.0], [10.0, 10.0 * mirror], [0.0, 10.0 * mirror]]])
     assert angle_of(u_shape, names(4), "two-vector")[0] == pytest.approx(180.0 * mirror)
 
@@ -269,9 +271,9 @@ def test_sd_agrees_with_monte_carlo(name: str) -> None:
     rng = np.random.default_rng(7)
     bends = np.array([-150.0, 0.0, 40.0, 120.0, 208.0])
     clean = finger(bends) if name != "arc-fit" else arc_points(bends, 5)
-    spread = np.stack(
-        [np.diag([0.5, 0.2]), np.diag([0.1, 0.6]), [[0.4, 0.2], [0.2, 0.3]], np.eye(2), 0.3 * np.eye(2)]
-    )
+    # Correlated at the ends too: there a point moves the angle along its tangent and across it.
+    tilted = np.array([[0.5, 0.35], [0.35, 0.4]])
+    spread = np.stack([tilted, np.diag([0.1, 0.6]), tilted * [[1, -1], [-1, 1]], np.eye(2), tilted])
     covariance = np.tile(spread[:, :, :], (len(bends), 1, 1, 1)) * 0.3
     definition = AngleDefinition(name, default_points(name, FINGER))
     _, sd, _ = bending_angle(clean, FINGER, definition, covariance)
