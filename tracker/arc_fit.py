@@ -23,7 +23,7 @@ from .types import FloatArray
 # keypoint pulls less. Fits of sound frames stay under it, and are plain least squares.
 _HUBER_FRACTION = 0.01
 _MAX_ITERATIONS = 60
-_TOLERANCE = 1e-20  # on the squared step, in units of the chain's length and radians
+_TOLERANCE = 1e-18  # on the squared step, in units of the chain's length and radians
 
 
 def arc_angle(points: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -52,26 +52,22 @@ def arc_angle(points: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _fit(points: FloatArray) -> FloatArray:
     """Levenberg-Marquardt over all frames at once: parameters (T, 3) of curvature, direction, offset."""
     parameters = _through_three_points(points)
-    residual, jacobian = _residuals(points, parameters)
-    cost = _huber(residual)
     damping = np.full(len(points), 1e-3)
+    active = np.arange(len(points))  # frames whose fit still moves
     for _ in range(_MAX_ITERATIONS):
+        start = parameters[active]
+        residual, jacobian = _residuals(points[active], start)
         weight = _weights(residual)
         normal = np.einsum("tki,tk,tkj->tij", jacobian, weight, jacobian)
         slope = np.einsum("tki,tk,tk->ti", jacobian, weight, residual)
         diagonal = np.einsum("tii->ti", normal)
-        diagonal += damping[:, None] * (diagonal + 1e-12)
-        step = -np.linalg.solve(normal, slope[..., None])[..., 0]
-        trial = parameters + step
-        trial_residual, trial_jacobian = _residuals(points, trial)
-        trial_cost = _huber(trial_residual)
-        better = trial_cost <= cost
-        parameters = np.where(better[:, None], trial, parameters)
-        residual = np.where(better[:, None], trial_residual, residual)
-        jacobian = np.where(better[:, None, None], trial_jacobian, jacobian)
-        cost = np.where(better, trial_cost, cost)
-        damping = np.clip(np.where(better, damping / 5, damping * 5), 1e-12, 1e12)
-        if ((step**2).sum(axis=1) < _TOLERANCE).all():
+        diagonal += damping[active, None] * (diagonal + 1e-12)
+        trial = start - np.linalg.solve(normal, slope[..., None])[..., 0]
+        better = _huber(_residuals(points[active], trial)[0]) <= _huber(residual)
+        parameters[active] = np.where(better[:, None], trial, start)
+        damping[active] = np.clip(damping[active] * np.where(better, 0.2, 5.0), 1e-12, 1e12)
+        active = active[((trial - start) ** 2).sum(axis=1) > _TOLERANCE]
+        if not active.size:
             break
     return parameters
 
