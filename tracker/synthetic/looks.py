@@ -10,7 +10,9 @@ it, outward (toward the chambers) positive; both in px. The bend's inner side ha
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 Colour = tuple[float, float, float]  # display RGB in [0, 1]
 
@@ -195,3 +197,24 @@ class Look:
     scene: Scene
     light: Light
     camera: Camera
+
+    @classmethod
+    def from_dict(cls, settings: Mapping[str, Any]) -> Look:
+        """The look that `dataclasses.asdict` took apart, also after a journey through JSON."""
+        parts = {
+            "pose": Pose,
+            "body": Body,
+            "material": Material,
+            "scene": Scene,
+            "light": Light,
+            "camera": Camera,
+        }
+        plain = {name: _tuples(value) for name, value in settings.items() if name not in parts}
+        return cls(**plain, **{name: part(**_tuples(settings[name])) for name, part in parts.items()})
+
+
+def _tuples(value: Any) -> Any:
+    """JSON knows no tuples; a look has no lists."""
+    if isinstance(value, Mapping):
+        return {name: _tuples(item) for name, item in value.items()}
+    return tuple(value) if isinstance(value, list) else value

@@ -67,8 +67,8 @@ def _placed_body(
     marks: str,
 ) -> tuple[Body, Pose]:
     """Draw bodies and poses until one fits; bodies become smaller while none does."""
-    for attempt in range(400):
-        body = _body(rng, end_vector_px, marks, 1.0 - 0.6 * attempt / 400, min(size_wh))
+    for attempt in range(150):
+        body = _body(rng, end_vector_px, marks, 1.0 - 0.6 * attempt / 150, min(size_wh))
         pose = _pose(rng, body, size_wh, angles)
         if pose is not None:
             return body, pose

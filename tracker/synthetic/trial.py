@@ -205,6 +205,54 @@ def labelled_sample(
     return frames, xy
 
 
+def write_labels(
+    trial: Trial, path: str | Path, frames: NDArray[np.intp], xy: FloatArray, scorer: str = "rendered"
+) -> None:
+    """Write labels as DeepLabCut's table, images named labeled-data/<video stem>/imgNNNNN.png by frame index.
+
+    The pictures themselves are the decoded frames of the video; whoever imports the labels extracts them.
+    """
+    columns = [(keypoint, axis) for keypoint in trial.keypoints for axis in "xy"]
+    lines = [
+        ",".join(["scorer", "", "", *([scorer] * len(columns))]),
+        ",".join(["bodyparts", "", "", *(keypoint for keypoint, _ in columns)]),
+        ",".join(["coords", "", "", *(axis for _, axis in columns)]),
+    ]
+    for frame, points in zip(frames, xy, strict=True):
+        image = ["labeled-data", trial.video_path.stem, f"img{frame:05d}.png"]
+        lines.append(",".join([*image, *(f"{value:.4f}" for value in points.ravel())]))
+    atomic_write_text(path, "\n".join(lines) + "\n")
+
+
+def read_trial(folder: str | Path) -> Trial:
+    """The trial that `render_trial` wrote into a folder.
+
+    Raises
+    ------
+    BendtrackError
+        The folder holds no whole trial.
+    """
+    folder = Path(folder)
+    try:
+        settings = json.loads((folder / "trial.json").read_text(encoding="utf-8"))
+        rows = np.loadtxt(folder / "truth.csv", delimiter=",", skiprows=1, ndmin=2)
+        look = Look.from_dict(settings["look"])
+        return Trial(
+            folder=folder,
+            look=look,
+            keypoints=tuple(settings["keypoints"]),
+            time_s=rows[:, 1],
+            pressure_kpa=rows[:, 2],
+            angle_deg=rows[:, 3],
+            xy=rows[:, 4:].reshape(len(rows), -1, 2),
+            hysteresis_ratio=settings["hysteresis_ratio"],
+        )
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise BendtrackError(
+            f"{folder}: expected a rendered trial (trial.json, truth.csv), got {error}"
+        ) from error
+
+
 def exposure_gain(camera: Camera, time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Brightness of each frame, (T,), around 1: lamps flicker at 100 Hz, automatic exposure wanders."""
     phases = rng.uniform(0, 2 * np.pi, 3)
