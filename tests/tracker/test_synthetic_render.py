@@ -25,7 +25,7 @@ def plain(look, mark=(0.0, 0.0, 0.0)):
             look.material, kind="pigmented", colour=grey, layer_colour=grey, mark_colour=mark,
             gloss=0.0, roughness=0.0, bubbles=0, opacity=1.0,
         ),
-        light=dc.replace(look.light, ambient=1.0, gradient=0.0, vignette=0.0, shadow=0.0, tint=(1.0, 1.0, 1.0)),
+        light=dc.replace(look.light, ambient=1.0, gradient=0.0, vignette=0.0, shadow=0.0, tint=(1, 1, 1)),
         camera=dc.replace(look.camera, blur_px=0.6, sharpening=0.0, jpeg_quality=0),
     )  # fmt: skip
 

@@ -1,3 +1,5 @@
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -47,7 +49,7 @@ turning_points = st.lists(st.floats(0, 50), min_size=2, max_size=9)
 def test_time_does_not_matter(turns, samples):
     """Sampled finely or only at its turns, quickly or slowly, a path leads to the same angles."""
     response = HystereticResponse(50.0, -5.0, 190.0, 0.3)
-    path = np.concatenate([np.linspace(a, b, samples) for a, b in zip(turns[:-1], turns[1:], strict=True)])
+    path = np.concatenate([np.linspace(a, b, samples) for a, b in itertools.pairwise(turns)])
     coarse = response.angle_deg(np.array(turns))
     fine = response.angle_deg(path)
     np.testing.assert_allclose(fine[samples - 1 :: samples], coarse[1:], atol=1e-9)
