@@ -193,11 +193,14 @@ def labelled_sample(
     if not 0 < count <= len(trial.angle_deg):
         raise BendtrackError(f"expected 1 to {len(trial.angle_deg)} frames to label, got {count}")
     rng = np.random.default_rng([seed, 13])
-    free = np.ones(len(trial.angle_deg), bool)
+    # Cycles repeat angles; rounded, equal ones keep the order of time, also when the truth was read from disk.
+    angle_deg = trial.angle_deg.round(3)
+    free = np.ones(len(angle_deg), bool)
     frames = np.empty(count, np.intp)
-    for index, target in enumerate(np.linspace(trial.angle_deg.min(), trial.angle_deg.max(), count)):
+    for index, target in enumerate(np.linspace(angle_deg.min(), angle_deg.max(), count)):
         # Any of the few nearest: they come from different cycles, of loading and of unloading.
-        near = np.argsort(np.where(free, np.abs(trial.angle_deg - target), np.inf))[: min(6, free.sum())]
+        distance = np.where(free, np.abs(angle_deg - target).round(3), np.inf)
+        near = np.argsort(distance, kind="stable")[: min(6, free.sum())]
         frames[index] = rng.choice(near)
         free[frames[index]] = False
     frames.sort()
