@@ -1,0 +1,186 @@
+"""Labelled frames in memory, at the two scales the networks look at, and random training batches from them.
+
+Every batch depends only on (seed, step): training can be stopped and resumed at any step and sees the same data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from ..tracker.errors import LabelError
+from ..tracker.types import FloatArray, ImageArray, LabelledFrame
+from . import augment
+from .regions import PATCH_SIDE, WorkingRegion
+from .views import View, centred_view, resize, resized_view
+
+Rng = np.random.Generator
+
+MAX_TURN_DEG = 30.0
+"""Locator crops are turned up to this much: labels leave gaps in orientation, the clamp does not turn."""
+
+PATCH_TURN_DEG = 10.0
+"""Patches are turned by the located direction; this standard deviation covers the locator's error in it."""
+
+PATCH_SHIFT_PX = 4.0
+"""Standard deviation, in patch px, of where the keypoint lies in a training patch: the locator's error."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Training pictures and their truth.
+
+    Attributes
+    ----------
+    images : (N, 3, H, W) uint8
+    xy : (N, K, 2) float32 input px
+    known, present : (N, K) bool, as in `heatmaps.heatmap_loss`
+    """
+
+    images: ImageArray
+    xy: FloatArray
+    known: np.ndarray
+    present: np.ndarray
+
+
+@dataclass(frozen=True)
+class PreparedFrame:
+    """A labelled frame at the two scales. Positions stay in frame px; the views carry them over.
+
+    Attributes
+    ----------
+    coarse : the frame at the locator's scale
+    fine : the frame at the refiner's scale, or as it is where the refiner magnifies
+    coarse_view, fine_view : from frame px to px of those
+    xy : (K, 2) frame px, NaN where not labelled
+    region : the working region of frames of this size
+    """
+
+    coarse: ImageArray
+    fine: ImageArray
+    coarse_view: View
+    fine_view: View
+    xy: FloatArray
+    region: WorkingRegion
+
+
+def read_image(frame: LabelledFrame) -> ImageArray:
+    """The frame's picture, RGB uint8 (H, W, 3).
+
+    Raises
+    ------
+    LabelError
+        If the file is missing or not a picture.
+    """
+    data = cv2.imread(str(frame.image_path), cv2.IMREAD_COLOR)
+    if data is None:
+        raise LabelError(f"expected a picture at {frame.image_path}, got a missing or unreadable file")
+    return cv2.cvtColor(data, cv2.COLOR_BGR2RGB)
+
+
+def prepare(image: ImageArray, xy: FloatArray, region: WorkingRegion) -> PreparedFrame:
+    """Resize a frame once to both scales, so that a training step only cuts and turns."""
+    h, w = image.shape[:2]
+    return PreparedFrame(
+        coarse=resize(image, region.locator_scale),
+        fine=resize(image, region.fine_scale),
+        coarse_view=resized_view(region.locator_scale, (0, 0), (w, h)),
+        fine_view=resized_view(region.fine_scale, (0, 0), (w, h)),
+        xy=np.asarray(xy, dtype=np.float64),
+        region=region,
+    )
+
+
+def locator_batch(
+    frames: Mapping[int, PreparedFrame], chosen: Sequence[int], size_wh: tuple[int, int], rng: Rng
+) -> Batch:
+    """Random crops at the locator's scale of the frames `chosen`, by their keys."""
+    images, targets, known, present = [], [], [], []
+    for index in chosen:
+        frame = frames[index]
+        labelled = ~np.isnan(frame.xy).any(axis=1)
+        points = frame.coarse_view.to_input(frame.xy)
+        box = frame.region
+        corner = np.array([box.left, box.top]) * box.locator_scale
+        extent = np.array([box.width, box.height]) * box.locator_scale
+        # The crop shows the region when it fits, else a part of it: around the body four times in five.
+        slack = np.maximum(extent - size_wh, 0)
+        middle = corner + extent / 2
+        if slack.any():
+            anywhere = rng.random() < 0.2 or not labelled.any()
+            body = corner + rng.random(2) * extent if anywhere else np.nanmean(points, axis=0)
+            middle = np.where(slack > 0, np.clip(body, middle - slack / 2, middle + slack / 2), middle)
+        middle = middle + rng.uniform(-0.1, 0.1, size=2) * size_wh
+        turn = np.deg2rad(rng.uniform(-MAX_TURN_DEG, MAX_TURN_DEG)) if rng.random() < 0.7 else 0.0
+        view = centred_view(middle, size_wh, np.exp(rng.uniform(-0.2, 0.2)), turn)
+        picture, mask = augment.occlude(view.cut(frame.coarse), rng)
+        images.append(augment.change_picture(picture, rng))
+        xy = view.to_input(points)
+        targets.append(xy)
+        known.append(labelled)
+        present.append(_in_view(xy, size_wh) & ~_hidden(xy, mask))
+    return _stack(images, targets, known, present)
+
+
+def refiner_batch(
+    frames: Mapping[int, PreparedFrame], chosen: Sequence[int], partner: Sequence[int], rng: Rng
+) -> Batch:
+    """One random patch around each labelled keypoint of the frames `chosen`, by their keys."""
+    images, targets, known, present = [], [], [], []
+    for index in chosen:
+        frame = frames[index]
+        points = frame.fine_view.to_input(frame.xy)
+        labelled = ~np.isnan(points).any(axis=1)
+        for k in np.flatnonzero(labelled):
+            zoom = frame.region.magnification
+            turn = patch_direction(points, k, partner) + np.deg2rad(rng.normal(0, PATCH_TURN_DEG))
+            shift = np.clip(rng.normal(0, PATCH_SHIFT_PX, size=2), -16, 16) / zoom
+            view = patch_view(points[k] + shift, zoom * np.exp(rng.normal(0, 0.06)), turn)
+            picture, mask = augment.occlude(view.cut(frame.fine), rng, share=0.2)
+            images.append(augment.change_picture(picture, rng))
+            xy = view.to_input(points)
+            targets.append(xy)
+            known.append(labelled)
+            present.append(_in_view(xy, (PATCH_SIDE, PATCH_SIDE)) & ~_hidden(xy, mask))
+    return _stack(images, targets, known, present)
+
+
+def patch_view(centre_xy: FloatArray, zoom: float, turn_rad: float) -> View:
+    """The refiner's square view around a position, direction `turn_rad` to the right."""
+    return centred_view(centre_xy, (PATCH_SIDE, PATCH_SIDE), zoom, turn_rad)
+
+
+def patch_direction(points: FloatArray, k: int, partner: Sequence[int]) -> float:
+    """Direction (rad) by which keypoint `k`'s patch is turned: from the lower-numbered of the pair to the higher."""
+    j = partner[k]
+    first, second = points[min(j, k)], points[max(j, k)]
+    step = second - first
+    if np.isnan(step).any():
+        return 0.0
+    return float(np.arctan2(step[1], step[0]))
+
+
+def _in_view(xy: FloatArray, size_wh: tuple[int, int]) -> np.ndarray:
+    with np.errstate(invalid="ignore"):
+        return ((xy >= -0.5) & (xy <= np.array(size_wh) - 0.5)).all(axis=1)
+
+
+def _hidden(xy: FloatArray, mask: ImageArray) -> np.ndarray:
+    h, w = mask.shape
+    column, row = np.nan_to_num(np.round(xy), nan=-1).astype(int).T
+    inside = (column >= 0) & (column < w) & (row >= 0) & (row < h)
+    return inside & (mask[np.clip(row, 0, h - 1), np.clip(column, 0, w - 1)] > 0)
+
+
+def _stack(
+    images: list[ImageArray], xy: list[FloatArray], known: list[np.ndarray], present: list[np.ndarray]
+) -> Batch:
+    return Batch(
+        images=np.ascontiguousarray(np.stack(images).transpose(0, 3, 1, 2)),
+        xy=np.nan_to_num(np.stack(xy)).astype(np.float32),
+        known=np.stack(known),
+        present=np.stack(present),
+    )

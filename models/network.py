@@ -1,0 +1,104 @@
+"""The keypoint network: a ResNet cut short, skip connections up to stride 4, one heatmap head.
+
+What the head's maps mean, and how positions are read from them, is in `heatmaps.py`; where in a frame the
+network looks is in `regions.py`. Normalisation lives here, as buffers: the input is plain RGB.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+from torchvision.models import resnet18, resnet34, resnet50
+
+BACKBONES = {"resnet18": resnet18, "resnet34": resnet34, "resnet50": resnet50}
+
+STRIDE = 4
+"""Input px per heatmap cell. Cell (row, column) covers input px STRIDE * column - 0.5 to STRIDE * column + 3.5."""
+
+IMAGENET_MEAN = (0.485, 0.456, 0.406)
+IMAGENET_STD = (0.229, 0.224, 0.225)
+
+# The heatmap bias starts where a sigmoid gives 0.01: nearly every cell of a heatmap is empty, and a start at
+# 0.5 spends the first hundred steps on learning that (Lin et al. 2017, focal loss, section 4.1).
+_EMPTY_CELL_LOGIT = -4.6
+
+
+class Maps(NamedTuple):
+    """What the network says of every cell, for N images, K keypoints, h x w cells.
+
+    Attributes
+    ----------
+    heat : (N, K, h, w) logits; the sigmoid is high at the cell that holds the keypoint
+    offset : (N, K, 2, h, w) input px (x, y), from the cell's centre to the keypoint
+    spread : (N, K, 3, h, w) log sd along x, log sd along y (log input px) and atanh of their correlation
+    """
+
+    heat: Tensor
+    offset: Tensor
+    spread: Tensor
+
+
+class HeatmapNetwork(nn.Module):
+    """Maps of K keypoints at stride 4 from RGB images.
+
+    Parameters
+    ----------
+    backbone : "resnet18", "resnet34" or "resnet50" (torchvision's, so its weights fit)
+    stages : how many of the four residual stages are kept; 3 see about 200 px of the input around a cell
+    n_keypoints : K
+    width : channels of the way up
+    """
+
+    mean: Tensor
+    std: Tensor
+
+    def __init__(self, backbone: str, stages: int, n_keypoints: int, width: int = 64) -> None:
+        super().__init__()
+        resnet = BACKBONES[backbone](weights=None)
+        self.n_keypoints = n_keypoints
+        # torchvision's own names are kept, so that its state dict loads as it is.
+        self.conv1, self.bn1 = resnet.conv1, resnet.bn1
+        self.stages = nn.ModuleList([resnet.layer1, resnet.layer2, resnet.layer3, resnet.layer4][:stages])
+        expansion = 4 if backbone == "resnet50" else 1
+        channels = [64 * 2**i * expansion for i in range(stages)]
+        self.lateral = nn.ModuleList([nn.Conv2d(c, width, 1, bias=False) for c in channels])
+        self.smooth = nn.Sequential(
+            nn.BatchNorm2d(width),
+            nn.ReLU(inplace=True),
+            nn.Conv2d(width, width, 3, padding=1, bias=False),
+            nn.BatchNorm2d(width),
+            nn.ReLU(inplace=True),
+        )
+        self.head = nn.Conv2d(width, n_keypoints * 6, 1)
+        nn.init.normal_(self.head.weight, std=0.001)
+        nn.init.zeros_(self.head.bias)
+        with torch.no_grad():
+            self.head.bias[:n_keypoints] = _EMPTY_CELL_LOGIT
+        self.register_buffer("mean", torch.tensor(IMAGENET_MEAN).view(1, 3, 1, 1) * 255, persistent=False)
+        self.register_buffer("std", torch.tensor(IMAGENET_STD).view(1, 3, 1, 1) * 255, persistent=False)
+
+    def forward(self, images: Tensor) -> Maps:
+        """Maps of RGB images (N, 3, H, W), uint8 or float in [0, 255]; H and W multiples of 2**(stages + 1)."""
+        x = (images.to(self.mean.dtype) - self.mean) / self.std
+        x = x.contiguous(memory_format=torch.channels_last)
+        x = F.max_pool2d(F.relu(self.bn1(self.conv1(x))), 3, stride=2, padding=1)
+        features = []
+        for stage in self.stages:
+            x = stage(x)
+            features.append(x)
+        up = self.lateral[-1](features[-1])
+        for lateral, feature in zip(self.lateral[-2::-1], features[-2::-1], strict=True):
+            up = F.interpolate(up, scale_factor=2.0, mode="bilinear", align_corners=False) + lateral(feature)
+        maps = self.head(self.smooth(up)).float()
+        n, _, h, w = maps.shape
+        k = self.n_keypoints
+        # Offsets and log spreads are learnt in cells and given in px: a head that starts at zero then starts
+        # at one cell's spread, and both losses have the same size as the heatmap's.
+        return Maps(
+            heat=maps[:, :k],
+            offset=maps[:, k : 3 * k].reshape(n, k, 2, h, w) * STRIDE,
+            spread=maps[:, 3 * k :].reshape(n, k, 3, h, w),
+        )

@@ -1,0 +1,63 @@
+"""How a network is trained: every setting, its default and the reason for it, once."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from ..tracker.errors import TrainingError
+from .network import BACKBONES
+
+
+@dataclass(frozen=True)
+class TrainingSettings:
+    """Settings of one training; they travel with the checkpoint.
+
+    Attributes
+    ----------
+    backbone : resnet18 finds what the larger ones find on thirty frames of one actuator, in a third of the time
+    init : "auto" (the best start on this machine), "imagenet", "random", or the path of a weights file
+    steps : training steps; None takes ten for each training frame, between 300 and 3000
+    batch_frames : frames a step; a frame gives the locator one crop and the refiner a patch a keypoint
+    learning_rate, weight_decay : AdamW's
+    decay_share : share of the steps in which the learning rate falls to zero; it begins earlier when the
+        held-out error stops falling
+    average : how much of the averaged weights is kept each step; the average is what is saved and judged
+    consensus : how far training positions move from the labels to what the averaged network says, once it is
+        better than a single click. Thirty clicks with 1 px of error each then weigh together instead of being
+        learnt by heart one by one: on rendered trials this halves what a network adds to the label-noise floor.
+    held_out : share of each actuator's frames that is not trained on but judged
+    seed : everything random follows from it
+    max_minutes : the schedule is shortened to end by then
+    """
+
+    backbone: str = "resnet18"
+    init: str = "auto"
+    steps: int | None = None
+    batch_frames: int = 8
+    learning_rate: float = 2e-3
+    weight_decay: float = 1e-2
+    decay_share: float = 0.5
+    average: float = 0.98
+    consensus: float = 0.7
+    held_out: float = 0.1
+    seed: int = 0
+    max_minutes: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.backbone not in BACKBONES:
+            raise TrainingError(f"backbone: expected one of {', '.join(BACKBONES)}, got {self.backbone!r}")
+        if self.steps is not None and self.steps < 1:
+            raise TrainingError(f"steps: expected at least 1, got {self.steps}")
+        if not 0.0 <= self.held_out < 1.0:
+            raise TrainingError(f"held_out: expected a share in [0, 1), got {self.held_out}")
+        if self.max_minutes is not None and self.max_minutes <= 0:
+            raise TrainingError(f"max_minutes: expected more than 0, got {self.max_minutes}")
+
+    def steps_for(self, n_frames: int) -> int:
+        """Training steps for so many training frames."""
+        return self.steps if self.steps is not None else min(max(300, 10 * n_frames), 3000)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready."""
+        return asdict(self)

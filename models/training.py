@@ -1,0 +1,416 @@
+"""Training: labelled frames in, a checkpoint out. The loop, and what is saved so that a kill loses little.
+
+Every random draw depends on (seed, step) only, so a training that is resumed goes on as if it had not stopped.
+"""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import json
+import math
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..tracker.angle import AngleDefinition, bending_angle
+from ..tracker.atomic import atomic_write_text
+from ..tracker.errors import LabelError, TrainingError
+from ..tracker.types import Detections, FloatArray, LabelledFrame
+from .calibration import calibrate
+from .cascade import Cascade, joined
+from .checkpoint import Checkpoint, best_device
+from .dataset import Batch, locator_batch, prepare, read_image, refiner_batch
+from .evaluation import frame_id
+from .heatmaps import heatmap_loss
+from .initialisation import load_backbone, resolve_init, starting_weights
+from .regions import LOCATOR_SIDE, WorkingRegion, find_region, partners
+from .schedule import Schedule
+from .settings import TrainingSettings
+from .training_state import TrainingState, load_state, save_state
+
+EVALUATE_EVERY = 50
+"""Steps between evaluations; each is also where the state is saved: a kill costs half a minute."""
+
+CONSENSUS_FROM = 0.3
+"""Share of the steps after which positions follow the averaged network: before, it knows less than a click."""
+
+CONSENSUS_REACH = 4.0
+"""A prediction further than this from its label, in median distances, is not believed: perhaps another keypoint."""
+
+SPREAD_WEIGHT = 0.1
+"""The spread head only describes; it must not steer the features."""
+
+MIN_FRAMES_TO_HOLD_OUT = 5
+"""With fewer, every frame is trained on, and nothing is known of the error."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What a training tells after every evaluation, and after each step with the errors left as they were.
+
+    Attributes
+    ----------
+    step, total : steps done and to be done (the latter may shrink)
+    loss : of the step
+    held_out_px, held_out_deg : root mean square error on held-out frames, NaN without any
+    elapsed_s, left_s : seconds
+    """
+
+    step: int
+    total: int
+    loss: float
+    held_out_px: float
+    held_out_deg: float
+    elapsed_s: float
+    left_s: float
+
+
+def train(
+    frames: Sequence[LabelledFrame],
+    keypoints: Sequence[str],
+    definition: AngleDefinition,
+    folder: Path,
+    settings: TrainingSettings | None = None,
+    *,
+    resume: bool = False,
+    progress: Callable[[Progress], None] | None = None,
+) -> Checkpoint:
+    """Train a cascade on labelled frames and save it in `folder`.
+
+    Parameters
+    ----------
+    frames : labelled frames; those without any label are passed over
+    keypoints : names of the K keypoints
+    definition : the angle, for errors in degrees and for the checkpoint
+    folder : receives weights.safetensors, checkpoint.json and training.csv, and while it lasts the state
+    resume : go on from the state in `folder`
+
+    Returns
+    -------
+    Checkpoint
+        The averaged network.
+
+    Raises
+    ------
+    LabelError
+        No labelled frames, or a picture that cannot be read.
+    TrainingError
+        The loss is not finite, or there is nothing fitting to resume.
+    WeightsError
+        The starting weights cannot be had.
+    """
+    settings = settings or TrainingSettings()
+    labelled = [frame for frame in frames if not np.isnan(frame.xy).all()]
+    if not labelled:
+        raise LabelError(f"training: expected frames with labels, got {len(frames)} without any")
+    missing = [n for k, n in enumerate(keypoints) if all(np.isnan(f.xy[k]).any() for f in labelled)]
+    if missing:
+        raise LabelError(
+            f"training: expected every keypoint in some frame, got none for {', '.join(missing)}"
+        )
+    trainer = _Trainer(labelled, tuple(keypoints), definition, Path(folder), settings)
+    if resume:
+        trainer.restore()
+    trainer.run(progress)
+    checkpoint = trainer.finish()
+    checkpoint.save(Path(folder))
+    trainer.state_file.unlink(missing_ok=True)
+    return checkpoint
+
+
+def split(frames: Sequence[LabelledFrame], share: float, seed: int) -> tuple[list[int], list[int]]:
+    """Indices of the frames to train on and to hold out: a share of each actuator's, at least one of five.
+
+    Actuators with fewer than `MIN_FRAMES_TO_HOLD_OUT` frames are trained on whole.
+    """
+    rng = np.random.default_rng([seed, 1])
+    held: list[int] = []
+    for actuator in sorted({frame.actuator for frame in frames}):
+        own = [i for i, frame in enumerate(frames) if frame.actuator == actuator]
+        if share > 0 and len(own) >= MIN_FRAMES_TO_HOLD_OUT:
+            count = min(len(own) - 1, max(1, round(share * len(own))))
+            held += rng.choice(own, count, replace=False).tolist()
+    return [i for i in range(len(frames)) if i not in set(held)], sorted(held)
+
+
+class _Trainer:
+    """The state of one training and the steps that change it."""
+
+    def __init__(
+        self,
+        frames: Sequence[LabelledFrame],
+        keypoints: tuple[str, ...],
+        definition: AngleDefinition,
+        folder: Path,
+        settings: TrainingSettings,
+    ) -> None:
+        self.frames, self.keypoints, self.definition = frames, keypoints, definition
+        self.folder = folder
+        self.device = best_device()
+        self.trained, self.held = split(frames, settings.held_out, settings.seed)
+        self.start = resolve_init(settings.init, settings.backbone)
+        self.settings = settings
+        torch.manual_seed(settings.seed)
+        self.network = Cascade(settings.backbone, len(keypoints))
+        state = starting_weights(self.start, settings.backbone)
+        if state is not None:
+            load_backbone(self.network.locator, state, self.start)
+            load_backbone(self.network.refiner, state, self.start)
+        self.network.to(self.device)
+        self.average = copy.deepcopy(self.network).requires_grad_(False)
+        self.optimizer = torch.optim.AdamW(
+            self.network.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay
+        )
+        self.schedule = Schedule(settings.steps_for(len(self.trained)), settings.decay_share)
+        self.step, self.elapsed_s = 0, 0.0
+        self.rows: list[dict[str, float]] = []
+        self.best: dict[str, Tensor] | None = None
+        self.best_step = 0
+        self.last_px = self.last_deg = float("nan")
+        self._load_pictures()
+
+    def _load_pictures(self) -> None:
+        pictures = [read_image(frame) for frame in self.frames]
+        sizes = [(p.shape[1], p.shape[0]) for p in pictures]
+        labels = np.stack([frame.xy for frame in self.frames]).astype(np.float64)
+        regions: dict[tuple[int, int], WorkingRegion] = {}
+        for size in sizes:
+            if size not in regions:
+                regions[size] = find_region(labels[[s == size for s in sizes]], size)
+        self.regions = tuple(regions.values())
+        self.partner = tuple(partners(labels))
+        self.prepared = [
+            prepare(picture, xy, regions[size])
+            for picture, xy, size in zip(pictures, labels, sizes, strict=True)
+        ]
+        self.labels = labels
+        self.targets = labels.copy()
+        # Pictures are kept for evaluation at the scales that detection cuts itself.
+        self.pictures = pictures
+        multiple = self.network.locator_multiple
+        widest = [max(r.locator_view(multiple).size_wh[i] for r in self.regions) for i in (0, 1)]
+        self.crop_wh = (min(widest[0], LOCATOR_SIDE), min(widest[1], LOCATOR_SIDE))
+
+    @property
+    def state_file(self) -> Path:
+        """Where a training that is not finished keeps its state."""
+        return self.folder / "training-state.safetensors"
+
+    @property
+    def identity(self) -> str:
+        """Hash of all that a resumed training must have in common with the stopped one."""
+        settings = {**self.settings.to_dict(), "max_minutes": None}
+        digest = hashlib.sha256(json.dumps([settings, list(self.keypoints)], sort_keys=True).encode())
+        for frame in self.frames:
+            digest.update(f"{frame_id(frame)} {frame.actuator}".encode())
+            digest.update(np.ascontiguousarray(frame.xy, dtype=np.float64).tobytes())
+        return digest.hexdigest()
+
+    def run(self, progress: Callable[[Progress], None] | None) -> None:
+        """Train until the schedule ends."""
+        begun = time.monotonic() - self.elapsed_s
+        limit_s = None if self.settings.max_minutes is None else self.settings.max_minutes * 60
+        with ThreadPoolExecutor(max_workers=1) as pool:
+            batches = pool.submit(self._batches, self.step)
+            while self.step < self.schedule.total:
+                locate, refine = batches.result()
+                batches = pool.submit(self._batches, self.step + 1)
+                loss = self._learn(locate, refine)
+                self.step += 1
+                self.elapsed_s = time.monotonic() - begun
+                if limit_s is not None and self.step >= 10:
+                    self.schedule.fit(self.step, self.elapsed_s, limit_s)
+                if self.step % EVALUATE_EVERY == 0 or self.step == self.schedule.total:
+                    # A batch is drawn from the targets as they are when its step comes: the one drawn ahead is
+                    # drawn again when they change, so that a resumed training sees the same.
+                    batches.result()
+                    self._evaluate(loss)
+                    batches = pool.submit(self._batches, self.step)
+                    self.elapsed_s = time.monotonic() - begun
+                    self.save_state()
+                if progress:
+                    progress(self._progress(loss))
+
+    def _batches(self, step: int) -> tuple[Batch, Batch]:
+        rng = np.random.default_rng([self.settings.seed, 2, step])
+        n = len(self.trained)
+        count = self.settings.batch_frames
+        # Every frame as often as any other: a permutation, again when a step needs more than there are.
+        order = np.concatenate([rng.permutation(n) for _ in range(math.ceil(count / n))])[:count]
+        chosen = [self.trained[i] for i in order]
+        frames = {i: replace(self.prepared[i], xy=self.targets[i]) for i in set(chosen)}
+        return (
+            locator_batch(frames, chosen, self.crop_wh, rng),
+            refiner_batch(frames, chosen, self.partner, rng),
+        )
+
+    def _learn(self, locate: Batch, refine: Batch) -> float:
+        """One step of both networks; returns the loss."""
+        self.network.train()
+        factor = self.schedule.factor(self.step)
+        for group in self.optimizer.param_groups:
+            group["lr"] = self.settings.learning_rate * factor
+        self.optimizer.zero_grad(set_to_none=True)
+        loss = self._loss(self.network.locator, locate) + self._loss(self.network.refiner, refine)
+        if not torch.isfinite(loss):
+            raise TrainingError(
+                f"training: expected a finite loss, got {loss.item()} at step {self.step};"
+                " check the labels, or train with a lower learning rate or another seed"
+            )
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 5.0)
+        self.optimizer.step()
+        # A short memory at first, so that the average does not carry the random start along.
+        keep = min(self.settings.average, (self.step + 1) / (self.step + 10))
+        for mean, value in zip(
+            self.average.state_dict().values(), self.network.state_dict().values(), strict=True
+        ):
+            if mean.dtype.is_floating_point:
+                mean.lerp_(value, 1 - keep)
+            else:
+                mean.copy_(value)
+        return float(loss.detach())
+
+    def _loss(self, network: torch.nn.Module, batch: Batch) -> Tensor:
+        images, xy, known, present = (
+            torch.from_numpy(part).to(self.device)
+            for part in (batch.images, batch.xy, batch.known, batch.present)
+        )
+        losses = heatmap_loss(network(images), xy, known, present)
+        return losses["heat"] + losses["offset"] + SPREAD_WEIGHT * losses["spread"]
+
+    def _detect(self, network: Cascade, indices: Sequence[int]) -> Detections:
+        return joined(
+            [network.detect(self.pictures[i][None], self.prepared[i].region, self.partner) for i in indices]
+        )
+
+    def _evaluate(self, loss: float) -> None:
+        """Judge the averaged network on the held-out frames, and let the targets follow it."""
+        if self.held:
+            found = self._detect(self.average, self.held).xy
+            self.last_px = _rms(np.linalg.norm(found - self.labels[self.held], axis=2))
+            angles = [
+                bending_angle(xy, self.keypoints, self.definition)[0]
+                for xy in (found, self.labels[self.held])
+            ]
+            self.last_deg = _rms(angles[0] - angles[1])
+            if self.schedule.judge(self.step, self.last_px):
+                self.best = {n: v.clone() for n, v in self.average.state_dict().items()}
+                self.best_step = self.step
+        if self.settings.consensus and self.step >= CONSENSUS_FROM * self.schedule.total:
+            self.targets[self.trained] = consensus(
+                self.labels[self.trained],
+                self._detect(self.average, self.trained).xy,
+                self.settings.consensus,
+            )
+        self.rows.append(
+            {
+                "step": self.step,
+                "elapsed_s": round(self.elapsed_s, 1),
+                "loss": round(loss, 5),
+                "held_out_px": round(self.last_px, 4),
+                "held_out_deg": round(self.last_deg, 4),
+                "learning_rate": self.settings.learning_rate * self.schedule.factor(self.step),
+            }
+        )
+
+    def _progress(self, loss: float) -> Progress:
+        left = self.elapsed_s / self.step * (self.schedule.total - self.step)
+        return Progress(
+            self.step, self.schedule.total, loss, self.last_px, self.last_deg, self.elapsed_s, left
+        )
+
+    def finish(self) -> Checkpoint:
+        """The averaged network as a checkpoint: the last, unless an earlier one was clearly better."""
+        network = copy.deepcopy(self.average)
+        # Held-out labels are few and carry their own error, so only a clear difference counts.
+        if self.best is not None and self.last_px > 1.15 * self.schedule.best_px:
+            network.load_state_dict(self.best)
+        calibration = calibrate(
+            self._detect(network, self.trained),
+            self.labels[self.trained],
+            self._detect(network, self.held) if self.held else None,
+            self.labels[self.held] if self.held else None,
+        )
+        training = {
+            "settings": self.settings.to_dict(),
+            "started_from": self.start,
+            "steps": self.step,
+            "minutes": round(self.elapsed_s / 60, 2),
+            "held_out_px": None if math.isnan(self.last_px) else self.last_px,
+            "trained_on": [frame_id(self.frames[i]) for i in self.trained],
+            "held_out": [frame_id(self.frames[i]) for i in self.held],
+            "labels_sha256": self.identity,
+        }
+        return Checkpoint(
+            network=network.cpu().eval(),
+            backbone=self.settings.backbone,
+            keypoints=self.keypoints,
+            definition=self.definition,
+            regions=self.regions,
+            partner=self.partner,
+            calibration=calibration,
+            training=training,
+        )
+
+    def save_state(self) -> None:
+        """Write all that `restore` needs, and training.csv, both whole or not at all."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        save_state(
+            self.state_file,
+            TrainingState(
+                identity=self.identity,
+                step=self.step,
+                elapsed_s=self.elapsed_s,
+                schedule=self.schedule,
+                rows=self.rows,
+                best=self.best,
+                best_step=self.best_step,
+                targets=self.targets,
+            ),
+            self.network,
+            self.average,
+            self.optimizer,
+        )
+        lines = [",".join(self.rows[0])] + [",".join(str(v) for v in row.values()) for row in self.rows]
+        atomic_write_text(self.folder / "training.csv", "\n".join(lines) + "\n")
+
+    def restore(self) -> None:
+        """Go back to where a killed training last saved its state."""
+        if not self.state_file.is_file():
+            raise TrainingError(f"--resume: expected an unfinished training in {self.folder}, got none")
+        state = load_state(self.state_file, self.network, self.average, self.optimizer, self.identity)
+        self.step, self.elapsed_s, self.schedule = state.step, state.elapsed_s, state.schedule
+        self.rows, self.best, self.best_step = state.rows, state.best, state.best_step
+        self.targets = state.targets
+        if self.rows:
+            self.last_px, self.last_deg = self.rows[-1]["held_out_px"], self.rows[-1]["held_out_deg"]
+
+
+def consensus(labels: FloatArray, found: FloatArray, share: float) -> FloatArray:
+    """Labels moved by `share` toward what a network finds, where it agrees with them.
+
+    labels, found : (N, K, 2) px. A distance beyond `CONSENSUS_REACH` times the keypoint's median leaves the label.
+    """
+    distance = np.linalg.norm(found - labels, axis=2)
+    with np.errstate(invalid="ignore"):
+        reach = CONSENSUS_REACH * np.array([_median(distance[:, k]) for k in range(labels.shape[1])])
+        near = distance <= reach
+    return np.where(near[..., None], labels + share * (found - labels), labels)
+
+
+def _median(values: FloatArray) -> float:
+    known = values[~np.isnan(values)]
+    return float(np.median(known)) if known.size else 0.0
+
+
+def _rms(values: FloatArray) -> float:
+    known = values[~np.isnan(values)]
+    return float(np.sqrt((known**2).mean())) if known.size else float("nan")

@@ -1,0 +1,108 @@
+"""A training that is not finished, on disk: both networks, the optimiser, the schedule. safetensors and JSON."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import load_file, save_file
+from torch import Tensor, nn
+
+from ..tracker.atomic import atomic_path
+from ..tracker.errors import TrainingError
+from ..tracker.types import FloatArray
+from .schedule import Schedule
+
+
+@dataclass
+class TrainingState:
+    """What a training knows besides the two networks and the optimiser.
+
+    Attributes
+    ----------
+    identity : hash of settings and labels; another one cannot be resumed
+    step, elapsed_s, schedule : where it stands
+    rows : of training.csv
+    best, best_step : averaged weights with the lowest held-out error, and when
+    targets : (N, K, 2) px, positions trained on
+    """
+
+    identity: str
+    step: int
+    elapsed_s: float
+    schedule: Schedule
+    rows: list[dict[str, float]]
+    best: dict[str, Tensor] | None
+    best_step: int
+    targets: FloatArray
+
+
+def save_state(
+    path: Path, state: TrainingState, network: nn.Module, average: nn.Module, optimizer: torch.optim.Optimizer
+) -> None:
+    """Write a state, whole or not at all."""
+    tensors = {f"network.{n}": v for n, v in network.state_dict().items()}
+    tensors |= {f"average.{n}": v for n, v in average.state_dict().items()}
+    tensors |= {f"best.{n}": v for n, v in (state.best or {}).items()}
+    for index, values in optimizer.state_dict()["state"].items():
+        tensors |= {f"optimizer.{index}.{n}": torch.as_tensor(v) for n, v in values.items()}
+    tensors["targets"] = torch.from_numpy(state.targets)
+    header = {
+        "identity": state.identity,
+        "step": state.step,
+        "elapsed_s": state.elapsed_s,
+        "schedule": asdict(state.schedule),
+        "rows": state.rows,
+        "best_step": state.best_step,
+    }
+    tensors = {n: v.detach().cpu().contiguous() for n, v in tensors.items()}
+    with atomic_path(path) as temporary:
+        save_file(tensors, temporary, metadata={"bendtrack": json.dumps(header)})
+
+
+def load_state(
+    path: Path, network: nn.Module, average: nn.Module, optimizer: torch.optim.Optimizer, identity: str
+) -> TrainingState:
+    """Read a state into the networks and the optimiser.
+
+    Raises
+    ------
+    TrainingError
+        Damaged, or of a training with other settings or labels.
+    """
+    try:
+        with safe_open(path, "pt") as file:
+            header: dict[str, Any] = json.loads(file.metadata()["bendtrack"])
+        tensors = load_file(path)
+    except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
+        raise TrainingError(f"--resume: expected a training state in {path}, got a damaged file") from error
+    if header["identity"] != identity:
+        raise TrainingError(
+            "--resume: expected the settings and labels that the training was started with, got others;"
+            " train again without --resume"
+        )
+    network.load_state_dict(_under("network.", tensors))
+    average.load_state_dict(_under("average.", tensors))
+    moments: dict[int, dict[str, Tensor]] = {}
+    for name, value in _under("optimizer.", tensors).items():
+        index, key = name.split(".", 1)
+        moments.setdefault(int(index), {})[key] = value
+    optimizer.load_state_dict({**optimizer.state_dict(), "state": moments})
+    return TrainingState(
+        identity=identity,
+        step=header["step"],
+        elapsed_s=header["elapsed_s"],
+        schedule=Schedule(**header["schedule"]),
+        rows=header["rows"],
+        best=_under("best.", tensors) or None,
+        best_step=header["best_step"],
+        targets=tensors["targets"].numpy(),
+    )
+
+
+def _under(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+    return {n.removeprefix(prefix): v for n, v in tensors.items() if n.startswith(prefix)}
