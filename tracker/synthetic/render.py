@@ -20,6 +20,8 @@ from .skin import TEXELS, Skin
 _OVERLAP_DEG = 120.0
 _FAR = np.float32(1e5)
 
+Box = tuple[int, int, int, int]  # x0, y0, x1, y1; the last two excluded
+
 
 @dataclass(frozen=True)
 class RenderedFrame:
@@ -109,20 +111,23 @@ class Renderer:
         """Still scene with the body in it, blurred, grey levels as float32."""
         look = self.look
         result = self._still.copy()
-        box = self._body_box(lines)
-        if box is None:
+        tight, box = self._boxes(lines)
+        if tight is None or box is None:
             return result
-        x0, y0, x1, y1 = box
         middle = lines[len(lines) // 2]
         texture = self._skin.shaded(middle.heading_at(self._skin.s), look.pose.side, pressure)
-        body = self._body(lines[0], texture, pressure, box)
+        body = self._body(lines[0], texture, pressure, tight)
         for line in lines[1:]:
-            body += self._body(line, texture, pressure, box)
+            body += self._body(line, texture, pressure, tight)
         body *= np.float32(1 / (255 * len(lines)))
-        area = np.s_[y0:y1, x0:x1]
-        cover = np.ascontiguousarray(body[..., 3])
-        picture: FloatArray = self._behind[area] * thrice(shadow_factor(cover, look.light) * (1 - cover))
-        picture += cv2.cvtColor(body, cv2.COLOR_RGBA2RGB) * self._lit[area]
+        x0, y0, x1, y1 = box
+        within = np.s_[tight[1] - y0 : tight[3] - y0, tight[0] - x0 : tight[2] - x0]
+        cover = np.zeros((y1 - y0, x1 - x0), np.float32)
+        cover[within] = body[..., 3]
+        picture: FloatArray = self._behind[y0:y1, x0:x1] * thrice(shadow_factor(cover, look.light))
+        part = picture[within]
+        part *= thrice(1 - body[..., 3])
+        part += cv2.cvtColor(body, cv2.COLOR_RGBA2RGB) * self._lit[tight[1] : tight[3], tight[0] : tight[2]]
         self._put_front(picture, box)
         picture = blurred(picture, look.camera)
         # The box has room for blur and shadow all round; its rim is the still scene again.
@@ -133,7 +138,7 @@ class Renderer:
         result[y0 + top : y0 + bottom, x0 + left : x0 + right] = picture[top:bottom, left:right]
         return result
 
-    def _put_front(self, picture: FloatArray, box: tuple[int, int, int, int]) -> None:
+    def _put_front(self, picture: FloatArray, box: Box) -> None:
         """Lay the clamp over a part of the picture, in place."""
         fx0, fy0, fx1, fy1 = self._front_box
         x0, y0, x1, y1 = max(fx0, box[0]), max(fy0, box[1]), min(fx1, box[2]), min(fy1, box[3])
@@ -143,29 +148,27 @@ class Renderer:
             part *= 1 - front[..., 3:]
             part += front[..., :3]
 
-    def _body_box(self, lines: list[Midline]) -> tuple[int, int, int, int] | None:
-        """Pixels that body, shadow and blur can touch: x0, y0, x1, y1; None if out of the picture."""
+    def _boxes(self, lines: list[Midline]) -> tuple[Box | None, Box | None]:
+        """Pixels that the body can touch, and that its shadow and blur can; None if out of the picture."""
         look = self.look
         s = np.linspace(-HIDDEN_PX, look.body.end_s, 60)
-        edges = np.concatenate(
-            [
-                line.point(s, t)
-                for line in (lines[0], lines[-1])
-                for t in (-look.body.layer_px, self._skin.reach_px)
-            ]
-        )
+        t = np.array([[-look.body.layer_px], [self._skin.reach_px]])
+        edges = np.concatenate([line.point(s, t).reshape(-1, 2) for line in (lines[0], lines[-1])])
         lx, ly, _ = look.light.direction
         shift: FloatArray = -look.light.shadow_length_px / max(np.hypot(lx, ly), 1e-6) * np.array([lx, ly])
         around = 3.2 * max(look.light.shadow_softness_px, 3.0) + blur_reach_px(look.camera) + 4
-        low = np.minimum(edges.min(axis=0), (edges + shift).min(axis=0)) - around
-        high = np.maximum(edges.max(axis=0), (edges + shift).max(axis=0)) + around
+        low, high = edges.min(axis=0), edges.max(axis=0)
+        return self._clipped(low - 3, high + 3), self._clipped(
+            np.minimum(low, low + shift) - around, np.maximum(high, high + shift) + around
+        )
+
+    def _clipped(self, low: FloatArray, high: FloatArray) -> Box | None:
+        """Whole pixels of the picture between two corners."""
         x0, y0 = (max(int(v), 0) for v in np.floor(low))
-        x1, y1 = (min(int(v) + 1, size) for v, size in zip(np.ceil(high), look.size_wh, strict=True))
+        x1, y1 = (min(int(v) + 1, size) for v, size in zip(np.ceil(high), self.look.size_wh, strict=True))
         return (x0, y0, x1, y1) if x1 > x0 and y1 > y0 else None
 
-    def _body(
-        self, line: Midline, texture: ImageArray, pressure: float, box: tuple[int, int, int, int]
-    ) -> FloatArray:
+    def _body(self, line: Midline, texture: ImageArray, pressure: float, box: Box) -> FloatArray:
         """Premultiplied RGBA of the lit body in the box, (h, w, 4) float32 0..255."""
         last = SEGMENTS + 1
         if abs(np.degrees(line.heading[-1] - line.heading[0])) < _OVERLAP_DEG:
@@ -189,7 +192,7 @@ class Renderer:
         line: Midline,
         texture: ImageArray,
         pressure: float,
-        box: tuple[int, int, int, int],
+        box: Box,
         pieces: tuple[int, int],
     ) -> tuple[FloatArray, FloatArray]:
         """The texture, bent along some pieces of the midline.

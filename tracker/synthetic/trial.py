@@ -193,7 +193,7 @@ def labelled_sample(
     if not 0 < count <= len(trial.angle_deg):
         raise BendtrackError(f"expected 1 to {len(trial.angle_deg)} frames to label, got {count}")
     rng = np.random.default_rng([seed, 13])
-    # Cycles repeat angles; rounded, equal ones keep the order of time, also when the truth was read from disk.
+    # Cycles repeat angles; rounded, equal ones keep the order of time, also when the truth comes from disk.
     angle_deg = trial.angle_deg.round(3)
     free = np.ones(len(angle_deg), bool)
     frames = np.empty(count, np.intp)
