@@ -130,7 +130,7 @@ class LabelStore:
                 raise LabelError(
                     f"{video}/{image}: expected positions ({len(self.keypoints)}, 2), got {array.shape}"
                 )
-            missing = np.isnan(array).any(axis=1)
+            missing = np.logical_or(np.isnan(array[:, 0]), np.isnan(array[:, 1]))
             if np.isinf(array).any() or (np.isnan(array).all(axis=1) != missing).any():
                 raise LabelError(f"{video}/{image}: expected x and y, or NaN for both, got {array.tolist()}")
             points[image] = {

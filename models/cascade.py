@@ -64,7 +64,7 @@ class Cascade(nn.Module):
         h, w = frames[0].shape[:2]
         region = region.for_frame((w, h))
         xy, likelihood = self._locate(frames, region)
-        for i in np.flatnonzero(likelihood.mean(axis=1) < COLLAPSE_LIKELIHOOD):
+        for i in np.flatnonzero(likelihood.mean(axis=1) < COLLAPSE_LIKELIHOOD).tolist():
             everywhere, score = self._locate(frames[i : i + 1], region.whole_frame())
             if score.mean() > likelihood[i].mean():
                 xy[i], likelihood[i] = everywhere[0], score[0]

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from ..tracker.errors import LabelError
 from ..tracker.types import FloatArray, ImageArray, LabelledFrame
@@ -18,6 +19,7 @@ from .regions import PATCH_SIDE, WorkingRegion
 from .views import View, centred_view, resize, resized_view
 
 Rng = np.random.Generator
+BoolArray = NDArray[np.bool_]
 
 MAX_TURN_DEG = 30.0
 """Locator crops are turned up to this much: labels leave gaps in orientation, the clamp does not turn."""
@@ -42,8 +44,8 @@ class Batch:
 
     images: ImageArray
     xy: FloatArray
-    known: np.ndarray
-    present: np.ndarray
+    known: BoolArray
+    present: BoolArray
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,7 @@ def locator_batch(
     images, targets, known, present = [], [], [], []
     for index in chosen:
         frame = frames[index]
-        labelled = ~np.isnan(frame.xy).any(axis=1)
+        labelled: BoolArray = np.logical_not(np.isnan(frame.xy).any(axis=1))
         points = frame.coarse_view.to_input(frame.xy)
         box = frame.region
         corner = np.array([box.left, box.top]) * box.locator_scale
@@ -133,8 +135,8 @@ def refiner_batch(
     for index in chosen:
         frame = frames[index]
         points = frame.fine_view.to_input(frame.xy)
-        labelled = ~np.isnan(points).any(axis=1)
-        for k in np.flatnonzero(labelled):
+        labelled: BoolArray = np.logical_not(np.isnan(points).any(axis=1))
+        for k in np.flatnonzero(labelled).tolist():
             zoom = frame.region.magnification
             turn = patch_direction(points, k, partner) + np.deg2rad(rng.normal(0, PATCH_TURN_DEG))
             shift = np.clip(rng.normal(0, PATCH_SHIFT_PX, size=2), -16, 16) / zoom
@@ -163,12 +165,13 @@ def patch_direction(points: FloatArray, k: int, partner: Sequence[int]) -> float
     return float(np.arctan2(step[1], step[0]))
 
 
-def _in_view(xy: FloatArray, size_wh: tuple[int, int]) -> np.ndarray:
+def _in_view(xy: FloatArray, size_wh: tuple[int, int]) -> BoolArray:
     with np.errstate(invalid="ignore"):
-        return ((xy >= -0.5) & (xy <= np.array(size_wh) - 0.5)).all(axis=1)
+        inside: BoolArray = np.all((xy >= -0.5) & (xy <= np.array(size_wh) - 0.5), axis=1)
+    return inside
 
 
-def _hidden(xy: FloatArray, mask: ImageArray) -> np.ndarray:
+def _hidden(xy: FloatArray, mask: ImageArray) -> BoolArray:
     h, w = mask.shape
     column, row = np.nan_to_num(np.round(xy), nan=-1).astype(int).T
     inside = (column >= 0) & (column < w) & (row >= 0) & (row < h)
@@ -176,7 +179,7 @@ def _hidden(xy: FloatArray, mask: ImageArray) -> np.ndarray:
 
 
 def _stack(
-    images: list[ImageArray], xy: list[FloatArray], known: list[np.ndarray], present: list[np.ndarray]
+    images: list[ImageArray], xy: list[FloatArray], known: list[BoolArray], present: list[BoolArray]
 ) -> Batch:
     return Batch(
         images=np.ascontiguousarray(np.stack(images).transpose(0, 3, 1, 2)),

@@ -139,10 +139,10 @@ def _figures(values: FloatArray) -> dict[str, float | int | None]:
         return {"n": 0, "rms": None, "mean": None, "median": None, "p95": None, "max": None}
     return {
         "n": int(values.size),
-        "rms": _number(np.sqrt((values**2).mean())),
-        "mean": _number(values.mean()),
-        "median": _number(np.median(values)),
-        "p95": _number(np.quantile(values, 0.95)),
+        "rms": _number(float(np.sqrt((values**2).mean()))),
+        "mean": _number(float(values.mean())),
+        "median": _number(float(np.median(values))),
+        "p95": _number(float(np.quantile(values, 0.95))),
         "max": _number(values.max()),
     }
 

@@ -11,6 +11,7 @@ import urllib.error
 from collections.abc import Mapping
 from pathlib import Path
 from pickle import UnpicklingError
+from typing import Any
 
 import torch
 from safetensors import SafetensorError
@@ -122,10 +123,11 @@ def _read(path: Path) -> dict[str, Tensor]:
             f"--init: expected auto, imagenet, random or a weights file, got {path} (no such file)"
         )
     try:
-        if path.suffix == ".safetensors":
-            state = load_file(path)
-        else:
-            state = torch.load(path, map_location="cpu", weights_only=True)
+        state: Any = (
+            load_file(path)
+            if path.suffix == ".safetensors"
+            else torch.load(path, map_location="cpu", weights_only=True)
+        )
     except (SafetensorError, OSError, RuntimeError, ValueError, EOFError, KeyError, UnpicklingError) as error:
         raise WeightsError(
             f"{path}: expected a weights file, got one that cannot be read ({_reason(error)})"
@@ -135,8 +137,9 @@ def _read(path: Path) -> dict[str, Tensor]:
     if not isinstance(state, Mapping) or not all(isinstance(v, Tensor) for v in state.values()):
         raise WeightsError(f"{path}: expected named weights (a state dict), got something else")
     # A bendtrack checkpoint holds two networks; its locator's backbone is a start for both.
-    own = {n.removeprefix("locator."): v for n, v in state.items() if n.startswith("locator.")}
-    return own or dict(state)
+    weights: dict[str, Tensor] = dict(state)
+    own = {n.removeprefix("locator."): v for n, v in weights.items() if n.startswith("locator.")}
+    return own or weights
 
 
 def _reason(error: BaseException) -> str:

@@ -74,9 +74,9 @@ class HeatmapNetwork(nn.Module):
         )
         self.head = nn.Conv2d(width, n_keypoints * 6, 1)
         nn.init.normal_(self.head.weight, std=0.001)
-        nn.init.zeros_(self.head.bias)
-        with torch.no_grad():
-            self.head.bias[:n_keypoints] = _EMPTY_CELL_LOGIT
+        bias = torch.zeros(n_keypoints * 6)
+        bias[:n_keypoints] = _EMPTY_CELL_LOGIT
+        self.head.bias = nn.Parameter(bias)
         self.register_buffer("mean", torch.tensor(IMAGENET_MEAN).view(1, 3, 1, 1) * 255, persistent=False)
         self.register_buffer("std", torch.tensor(IMAGENET_STD).view(1, 3, 1, 1) * 255, persistent=False)
 

@@ -7,14 +7,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
 from ..tracker.atomic import atomic_path
 from ..tracker.errors import TrainingError
-from ..tracker.types import FloatArray
 from .schedule import Schedule
 
 
@@ -38,7 +39,7 @@ class TrainingState:
     rows: list[dict[str, float]]
     best: dict[str, Tensor] | None
     best_step: int
-    targets: FloatArray
+    targets: NDArray[np.float64]
 
 
 def save_state(

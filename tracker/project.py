@@ -94,7 +94,7 @@ class Project:
             raise ProjectError(f"expected a new or an empty folder, got one with files in it: {root}")
         document = tomlkit.parse(_TEMPLATE)
         document["keypoints"] = list(keypoints)
-        document["angle"]["definition"] = angle or ("three-point" if len(keypoints) == 3 else "two-vector")  # type: ignore[index]
+        document["angle"]["definition"] = angle or ("three-point" if len(keypoints) == 3 else "two-vector")
         if scorer is not None:
             document.add("scorer", tomlkit.item(scorer))
         text = tomlkit.dumps(document)

@@ -173,13 +173,14 @@ def read_h5_table(path: Path) -> LabelTable:
     if not isinstance(frame, pd.DataFrame) or list(frame.columns.names) != ["scorer", "bodyparts", "coords"]:
         raise LabelError(f"{path}: expected columns of scorer, bodyparts and coords, got another table")
     rows = []
+    heads: list[Any] = list(frame.columns)
     for number, (index, values) in enumerate(frame.iterrows(), start=1):
         parts: Mapping[int, str] | tuple[str, ...] = index if isinstance(index, tuple) else (str(index),)
         name = [p for part in parts for p in str(part).replace("\\", "/").split("/") if p]
         cells = {
-            (str(part), str(coord)): repr(float(value))
-            for (_, part, coord), value in values.items()
+            (str(body_part), str(coordinate)): repr(float(value))
+            for (_, body_part, coordinate), value in zip(heads, values, strict=True)
             if value == value
         }
         rows.append(LabelRow(name[-1], cells, name[-2] if len(name) > 1 else None, f"{path} row {number}"))
-    return LabelTable(tuple(dict.fromkeys(str(part) for _, part, _ in frame.columns)), tuple(rows))
+    return LabelTable(tuple(dict.fromkeys(str(part) for _, part, _ in heads)), tuple(rows))
