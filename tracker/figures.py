@@ -1,0 +1,117 @@
+"""The figure beside each angle table: angle over time, its uncertainty, and the rows to be doubted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from .atomic import atomic_path
+from .errors import ResultsError
+from .results import AngleTable
+from .types import Flag, FloatArray
+
+# Okabe and Ito's palette: told apart with any colour vision.
+_CURVE = "#0072B2"
+_MARKS = {  # flag: colour, marker, words of the legend
+    Flag.LOW_LIKELIHOOD: ("#E69F00", "o", "low likelihood"),
+    Flag.DAMAGED: ("#CC79A7", "s", "damaged frame"),
+    Flag.OUT_OF_FRAME: ("#009E73", "^", "out of frame, no angle"),
+    Flag.COINCIDENT_POINTS: ("#56B4E9", "D", "coincident points, no angle"),
+    Flag.UNDECODABLE: ("#D55E00", "|", "undecodable, no angle"),
+}
+
+
+def write_angle_figure(table: AngleTable, out_path: str | Path) -> None:
+    """Write angle over time as a PNG (1800 x 900 px): curve, band of 2 sd, flagged rows marked by kind.
+
+    Where the angle is unknown the curve has a gap and the row's mark stands on the time axis.
+
+    Raises
+    ------
+    ResultsError
+        The file cannot be written.
+    """
+    # The object interface: no window, no state that a user's own pyplot session would see.
+    figure = Figure(figsize=(9, 4.5), dpi=200, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    time_s, angle_deg = _with_gaps(table.time_s, table.angle_deg)
+    _, sd_deg = _with_gaps(table.time_s, table.angle_sd_deg)
+    axes.plot(time_s, angle_deg, color=_CURVE, linewidth=1.2, label="bending angle", zorder=3)
+    if np.isfinite(sd_deg).any():
+        band = (angle_deg - 2 * sd_deg, angle_deg + 2 * sd_deg)
+        axes.fill_between(time_s, *band, color=_CURVE, alpha=0.22, linewidth=0, label="± 2 sd", zorder=2)
+    _draw_single_rows(axes, table)
+    _mark_flagged(axes, table)
+
+    axes.axhline(0, color="0.75", linewidth=0.8, zorder=1)
+    axes.set_xlabel("time (s)")
+    definition = "" if table.definition is None else f", {table.definition.name}"
+    axes.set_ylabel(f"bending angle{definition} (°)")
+    if len(table) > 1:
+        axes.set_xlim(float(table.time_s[0]), float(table.time_s[-1]))
+    name = table.provenance.get("video", {}).get("name", "")
+    # "$" would begin mathematics.
+    axes.set_title(name.replace("$", r"\$"), loc="left", fontsize=11)
+    n_flagged = int(np.sum(table.flag != ""))
+    axes.set_title(f"{len(table)} frames, {n_flagged} flagged", loc="right", fontsize=9, color="0.35")
+    axes.grid(axis="y", color="0.92", linewidth=0.8, zorder=0)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    handles, _ = axes.get_legend_handles_labels()
+    if len(handles) > 1:
+        figure.legend(loc="outside lower center", ncols=min(len(handles), 4), frameon=False, fontsize=9)
+    try:
+        with atomic_path(out_path) as temporary:
+            figure.savefig(temporary, format="png")
+    except OSError as error:
+        raise ResultsError(f"{out_path}: cannot be written ({error.strerror or error})") from error
+
+
+def _with_gaps(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The series with a NaN put into each pause of the camera, which a line would otherwise bridge."""
+    steps = np.diff(time_s)
+    pauses = np.flatnonzero(steps > 4 * np.median(steps)) + 1 if len(steps) else np.array([], dtype=int)
+    return np.insert(time_s, pauses, time_s[pauses]), np.insert(values, pauses, np.nan)
+
+
+def _draw_single_rows(axes: Axes, table: AngleTable) -> None:
+    """Dots for angles between two gaps, which a line does not show."""
+    known = np.concatenate([[False], np.isfinite(table.angle_deg), [False]])
+    alone = known[1:-1] & ~known[:-2] & ~known[2:]
+    axes.plot(table.time_s[alone], table.angle_deg[alone], ".", color=_CURVE, markersize=3, zorder=3)
+
+
+def _mark_flagged(axes: Axes, table: AngleTable) -> None:
+    for kind in dict.fromkeys(table.flag[table.flag != ""]):
+        colour, marker, words = _MARKS.get(kind, ("0.4", "x", str(kind)))
+        rows = table.flag == kind
+        known = rows & np.isfinite(table.angle_deg)
+        unknown = rows & ~known
+        label = f"{words} ({int(rows.sum())})"
+        style: dict[str, Any] = {"linestyle": "none", "marker": marker, "color": colour, "zorder": 4}
+        if known.any():
+            axes.plot(
+                table.time_s[known],
+                table.angle_deg[known],
+                markersize=3.2,
+                markeredgewidth=0,
+                label=label,
+                **style,
+            )
+            label = ""
+        if unknown.any():
+            axes.plot(
+                table.time_s[unknown],
+                np.full(int(unknown.sum()), 0.012),
+                transform=axes.get_xaxis_transform(),
+                markersize=7 if marker == "|" else 4,
+                clip_on=False,
+                label=label,
+                **style,
+            )
