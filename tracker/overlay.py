@@ -22,7 +22,7 @@ from .read_ahead import read_ahead
 from .results import AngleTable
 from .tracking import MIN_LIKELIHOOD
 from .types import Flag, FloatArray, ImageArray
-from .video import Frame, Video
+from .video import Video
 from .video_writer import VideoWriter
 
 _Arrow = tuple[FloatArray, FloatArray, drawing.Colour]  # from, to, colour
@@ -57,13 +57,11 @@ def write_overlay(
     overlay = Overlay(table, source.size_wh)
     count = 0
     with (
-        closing(read_ahead(_converted(source), 4)) as frames,
+        closing(read_ahead(_drawn(source, overlay, len(table)), 4)) as drawn,
         VideoWriter(out_path, source.size_wh, source.frame_rate or 30.0) as writer,
     ):
-        for frame in frames:
-            if frame.index >= len(table):
-                raise ResultsError(f"{video}: expected the {len(table)} frames of the table, got more")
-            writer.write(overlay.draw(frame.image, frame.index), frame.time_s)
+        for image, time_s in drawn:
+            writer.write(image, time_s)
             count += 1
             if progress is not None:
                 progress(count, len(table))
@@ -71,10 +69,12 @@ def write_overlay(
             raise ResultsError(f"{video}: expected the {len(table)} frames of the table, got {count}")
 
 
-def _converted(source: Video) -> Iterator[Frame]:
+def _drawn(source: Video, overlay: Overlay, n_rows: int) -> Iterator[tuple[ImageArray, float]]:
+    """Decoded, converted and drawn here, beside encoding."""
     for frame in source:
-        _ = frame.image  # converted here, beside drawing
-        yield frame
+        if frame.index >= n_rows:
+            raise ResultsError(f"{source.path}: expected the {n_rows} frames of the table, got more")
+        yield overlay.draw(frame.image, frame.index), frame.time_s
 
 
 class Overlay:
