@@ -252,6 +252,19 @@ def test_no_picture_that_damage_changed_is_given_out_as_sound(
     assert not video.complete
 
 
+def test_b_frames_shown_before_the_damaged_frame_they_build_on_are_marked(tmp_path, arm_video, film):
+    """The decoder gives them out first; only afterwards does it turn out that their reference was damaged."""
+    with av.open(str(arm_video)) as container:
+        stamps = [packet.pts for packet in container.demux(video=0) if packet.size]
+    hit = next(n for n in range(22, 38) if stamps[n + 1] < stamps[n])  # a P frame, followed by its B frames
+    frames = list(Video(damage(arm_video, tmp_path / "p.mp4", [film.packet_places(arm_video)[hit]])))
+    shown_at = [sorted(stamps).index(stamp) for stamp in stamps]
+    assert frames[shown_at[hit]].decoded is None
+    assert shown_at[hit + 1] < shown_at[hit]
+    assert frames[shown_at[hit + 1]].damaged
+    assert not any(frame.damaged for frame in frames[:20])
+
+
 @pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi"])
 def test_packets_that_give_no_picture_keep_their_rows(tmp_path, film, arm_images, suffix):
     whole = film.encode(
