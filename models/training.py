@@ -33,7 +33,7 @@ from .initialisation import load_backbone, resolve_init, starting_weights
 from .regions import LOCATOR_SIDE, WorkingRegion, find_region, partners
 from .schedule import Schedule
 from .settings import TrainingSettings
-from .training_state import TrainingState, load_state, save_state
+from .training_state import STATE_FILE, TrainingState, load_state, save_state
 
 EVALUATE_EVERY = 50
 """Steps between evaluations; each is also where the state is saved: a kill costs half a minute."""
@@ -201,7 +201,7 @@ class _Trainer:
     @property
     def state_file(self) -> Path:
         """Where a training that is not finished keeps its state."""
-        return self.folder / "training-state.safetensors"
+        return self.folder / STATE_FILE
 
     @property
     def identity(self) -> str:

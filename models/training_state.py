@@ -18,6 +18,8 @@ from ..tracker.atomic import atomic_path
 from ..tracker.errors import TrainingError
 from .schedule import Schedule
 
+STATE_FILE = "training-state.safetensors"
+
 
 @dataclass
 class TrainingState:

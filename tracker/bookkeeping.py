@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import h5py
 
+from .atomic import atomic_write_text
 from .errors import ResultsError
 from .results import FORMAT, json_ready, read_record
 from .video import file_sha256, video_stem
@@ -98,3 +99,23 @@ def _owner(json_path: Path, h5_path: Path) -> str | None:
 def _video_of(record: Any) -> str | None:
     video = record.get("video") if isinstance(record, dict) else None
     return video.get("sha256") if isinstance(video, dict) else None
+
+
+def record_file(out_dir: str | Path, stem: str, path: Path) -> None:
+    """Enter a picture or an overlay made from a table into its JSON, by hash.
+
+    A table that is written again has a JSON without it, so that what was made from the old one is known to be.
+    """
+    json_path = Path(out_dir) / f"{stem}.json"
+    record = read_record(json_path)
+    record["files"][path.suffix[1:]] = file_sha256(path)
+    atomic_write_text(json_path, json.dumps(record, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def is_recorded(out_dir: str | Path, stem: str, path: Path) -> bool:
+    """Whether a picture or an overlay was made from the table as it is now (see `record_file`)."""
+    try:
+        files = read_record(Path(out_dir) / f"{stem}.json").get("files", {})
+        return bool(files.get(path.suffix[1:]) == file_sha256(path))
+    except (ResultsError, OSError):
+        return False

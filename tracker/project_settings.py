@@ -23,7 +23,7 @@ DEFAULT_ACTUATOR = "default"
 # Names become CSV column heads, figure legends and DeepLabCut body parts: letters and digits of any script,
 # and a few signs within, nothing that a spreadsheet takes for a formula or a separator.
 _NAME = re.compile(r"\w(?:[\w .+-]*[\w+])?")
-_VIDEO_SUFFIXES = (
+VIDEO_SUFFIXES = (
     *(".avi", ".flv", ".m2ts", ".m4v", ".mj2", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg"),
     *(".mts", ".ogv", ".ts", ".webm", ".wmv", ".y4m"),
 )
@@ -61,6 +61,8 @@ class TrainingSettings(_Section):
     init: str | None = None
     max_minutes: float | None = Field(default=None, gt=0)
     seed: int | None = Field(default=None, ge=0)
+    steps: int | None = Field(default=None, ge=1)
+    held_out: float | None = Field(default=None, ge=0, lt=1)
 
 
 class TrackingSettings(_Section):
@@ -159,7 +161,7 @@ def listed_stem(video: str) -> str:
     ['trial 1.5Hz', 'trial 1.5Hz', 'a']
     """
     name = PurePosixPath(video.replace("\\", "/"))
-    return name.stem if name.suffix.lower() in _VIDEO_SUFFIXES else name.name
+    return name.stem if name.suffix.lower() in VIDEO_SUFFIXES else name.name
 
 
 def parse_settings(raw: dict[str, Any], where: str) -> ProjectSettings:

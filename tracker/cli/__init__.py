@@ -1,0 +1,32 @@
+"""The command line. The only place that knows tracker, models and labeling; each is imported inside its command.
+
+A command takes its arguments apart and calls plain functions; what they report is printed here and nowhere else.
+"""
+
+from .app import app
+from .demo_command import demo
+from .doctor_command import doctor
+from .network_commands import evaluate, train
+from .project_commands import export_labels, import_labels, new
+from .video_commands import render, track
+
+__all__ = ["main"]
+
+_COMMANDS = {  # in the order of --help
+    "demo": demo,
+    "new": new,
+    "import": import_labels,
+    "export": export_labels,
+    "train": train,
+    "evaluate": evaluate,
+    "track": track,
+    "render": render,
+    "doctor": doctor,
+}
+for _name, _command in _COMMANDS.items():
+    app.command(_name)(_command)
+
+
+def main() -> None:
+    """Entry point of the installed command `bendtrack`."""
+    app()

@@ -1,0 +1,140 @@
+"""The command that shows the whole job on the bundled sample trial: bendtrack demo."""
+
+from __future__ import annotations
+
+import time
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..errors import BendtrackError
+from . import model_folders, talk
+
+if TYPE_CHECKING:
+    from ..results import AngleTable
+
+_SAMPLE = ("video.mp4", "pressure.csv", "labels.csv", "truth.csv", "README.md")
+_LABEL_NOISE_PX = 1.0
+_MAX_MINUTES = 4.0
+"""For the training on a slow machine; the sample's thirty labels need about two on two cores."""
+
+
+def demo(
+    out: Annotated[Path, typer.Option(help="A new folder, or that of an earlier demo.")] = Path(
+        "bendtrack-demo"
+    ),
+) -> None:
+    """The whole job on a bundled sample trial: labels, network, angles, figure, overlay. About three minutes.
+
+    Called again, it goes on where it was stopped, or shows what is there.
+    """
+    from ...labeling.interop.dlc import import_dlc, project_for
+    from ..results import read_results
+    from .network_commands import project_settings, train_network
+    from .project_commands import print_report
+    from .video_commands import track_videos
+
+    begun = time.monotonic()
+    trial = out / "trial"
+    video = trial / "video.mp4"
+    talk.say("1. A project with the labels of 30 frames")
+    project = project_for(out, sample_folder() / "labels.csv")
+    _copy_sample(trial)
+    print_report(import_dlc(trial / "labels.csv", project, videos=[video]))
+
+    talk.say("\n2. A network, trained on them")
+    networks, stopped = model_folders.finished(project), model_folders.unfinished(project)
+    if networks:
+        network = networks[-1]
+        talk.say(f"'{network.name}' is trained already")
+    else:
+        network = stopped[-1] if stopped else model_folders.new_folder(project, None, False)
+        train_network(
+            project, network, project_settings(project, {"max_minutes": _MAX_MINUTES}), resume=bool(stopped)
+        )
+
+    talk.say("\n3. The angle in every frame of the video")
+    problems = track_videos(project, network, [video], project.results_dir, overlay=True)
+    if problems:
+        raise BendtrackError(f"{video}: {problems[0][1]}")
+
+    table = read_results(project.results_dir / "video.h5")
+    talk.say(f"\n4. Beside the truth ({time.monotonic() - begun:.0f} s in all)")
+    _compare(table, trial / "truth.csv", network)
+    results = project.results_dir
+    talk.show(
+        f"table    {results / 'video.csv'} (and .h5, .json)\n"
+        f"figure   {results / 'video.png'}\n"
+        f"overlay  {results / 'video.mp4'}\n"
+        f"network  {network} (its errors: errors.png, worst-frames.png)"
+    )
+    talk.say(
+        "\nYour own videos: label about thirty frames with DeepLabCut's labelling (bendtrack's own page is to come),"
+        "\nthen\n"
+        "    bendtrack import my-study LABELS\n"
+        "    bendtrack train my-study\n"
+        "    bendtrack track my-study VIDEO... --overlay"
+    )
+
+
+def sample_folder() -> Path:
+    """Where the bundled sample trial lies.
+
+    Raises
+    ------
+    BendtrackError
+        It is not there.
+    """
+    try:
+        folder = Path(str(files("bendtrack.data_samples")))
+    except ModuleNotFoundError:
+        folder = Path("bendtrack/data_samples")
+    missing = [name for name in _SAMPLE if not (folder / name).is_file()]
+    if missing:
+        raise BendtrackError(
+            f"the sample trial is not installed ({missing[0]} is missing): install bendtrack again"
+        )
+    return folder
+
+
+def _copy_sample(trial: Path) -> None:
+    from ..atomic import atomic_write_bytes
+
+    trial.mkdir(parents=True, exist_ok=True)
+    for name in _SAMPLE:
+        data = (sample_folder() / name).read_bytes()
+        if not (trial / name).is_file() or (trial / name).read_bytes() != data:
+            atomic_write_bytes(trial / name, data)
+
+
+def _compare(table: AngleTable, truth_path: Path, network: Path) -> None:
+    import numpy as np
+    import pandas as pd
+
+    from ...models.checkpoint import load_checkpoint
+    from ..angle import end_vector_px, label_noise_floor_deg
+
+    truth = pd.read_csv(truth_path)
+    error = table.angle_deg - truth["angle_deg"].to_numpy()
+    known = np.isfinite(error)
+    assert table.definition is not None
+    floor = label_noise_floor_deg(
+        _LABEL_NOISE_PX,
+        len(load_checkpoint(network).training["trained_on"]),
+        end_vector_px(table.xy, table.keypoints, table.definition),
+    )
+    angle = truth["angle_deg"]
+    talk.show(
+        f"angle    {angle.min():.0f} to {angle.max():.0f}° in {len(table)} frames; RMS error {_rms(error[known]):.2f}°,"
+        f" {int((~known).sum())} frames without an angle\n"
+        f"         (label-noise floor {floor:.2f}°: the labels are {_LABEL_NOISE_PX:g} px off,"
+        " as a steady hand's are)"
+    )
+
+
+def _rms(values: object) -> float:
+    import numpy as np
+
+    return float(np.sqrt(np.mean(np.square(values))))

@@ -1,0 +1,285 @@
+"""Commands about videos: track, render."""
+
+from __future__ import annotations
+
+import glob
+import secrets
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ..errors import BendtrackError, VideoError
+from . import model_folders, talk
+from .project_commands import ProjectArgument
+
+if TYPE_CHECKING:
+    from ..angle import AngleDefinition
+    from ..project import Project
+    from ..results import AngleTable
+    from ..types import Detector
+
+_OVERLAY = "overlay"
+"""In the name of an overlay that could be taken for a video of the user's."""
+
+
+def track(
+    project: ProjectArgument,
+    videos: Annotated[
+        list[str], typer.Argument(help="Files, folders of videos, or patterns such as 'day1/*.mp4'.")
+    ],
+    model: Annotated[str | None, typer.Option(help="Name of the network.", show_default="the newest")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Where the results go.", show_default="PROJECT/results")
+    ] = None,
+    overlay: Annotated[
+        bool, typer.Option("--overlay", help="Also write a video with what was found drawn on it.")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Also what is up to date.")] = False,
+) -> None:
+    """Bending angle over time for videos: a table (CSV, HDF5), a figure, and how they came about (JSON).
+
+    What is up to date is passed over: the same video, network and settings. Exit status 1 when a video failed or
+    is damaged; the others are done.
+    """
+    from ..project import Project
+
+    opened = Project.open(project)
+    paths = listed_videos(videos)
+    folder = out or opened.results_dir
+    _check_writable(folder)
+    network = model_folders.chosen(opened, model)
+    problems = track_videos(opened, network, paths, folder, overlay=overlay, force=force)
+    if problems:
+        done = len(paths) - len({path for path, _, lost in problems if lost})
+        talk.complain(f"{done} of {len(paths)} videos tracked; to be looked at:")
+        for path, problem, _ in problems:
+            talk.complain(f"{path}: {problem}")
+        raise typer.Exit(1)
+
+
+def listed_videos(names: list[str]) -> list[Path]:
+    """Files of the given files, folders and patterns, each once, in the order given.
+
+    Raises
+    ------
+    VideoError
+        Nothing is there, or a folder holds no videos.
+    """
+    from ..project_settings import VIDEO_SUFFIXES
+
+    found: dict[Path, Path] = {}
+    for name in names:
+        path = Path(name)
+        if path.is_dir():
+            own = sorted(
+                file
+                for file in path.iterdir()
+                if file.suffix.lower() in VIDEO_SUFFIXES
+                and file.is_file()
+                and not file.name.startswith(".")
+                and not file.stem.endswith(f".{_OVERLAY}")
+            )
+            if not own:
+                raise VideoError(f"expected videos in {path}, got a folder without any")
+        elif path.exists():
+            own = [path]
+        else:
+            own = sorted(file for file in map(Path, glob.glob(name, recursive=True)) if file.is_file())
+            if not own:
+                raise VideoError(f"expected a video, got a path where nothing is: {name}")
+        for file in own:
+            found.setdefault(file.resolve(), file)
+    return list(found.values())
+
+
+@dataclass
+class _Job:
+    """Tracking with one network into one folder."""
+
+    detector: Detector
+    definition: AngleDefinition
+    folder: Path
+    options: dict[str, Any] = field(default_factory=dict)
+
+
+def track_videos(
+    project: Project, network: Path, videos: list[Path], folder: Path, *, overlay: bool, force: bool = False
+) -> list[tuple[Path, str, bool]]:
+    """Track videos one after the other and write tables, figures and overlays.
+
+    Returns
+    -------
+    What went wrong: video, problem, and whether the video has no table. A video that is damaged has one.
+    """
+    from ...models.detector import NetworkDetector
+
+    detector = NetworkDetector.load(network)
+    definition = detector.checkpoint.definition
+    angle = project.settings.angle_definition(definition.sign)
+    signs = {"auto": definition.sign, "+": 1, "-": -1}
+    if angle != definition or signs[project.settings.angle.sign] != definition.sign:
+        talk.warn(
+            f"bendtrack.toml names another angle than '{network.name}' was trained for, which is measured"
+            f" ({definition.name}, {', '.join(definition.points)}, sign {definition.sign:+d});"
+            " train again for the new one"
+        )
+    job = _Job(detector, definition, folder)
+    if project.settings.tracking.min_likelihood is not None:
+        job.options["min_likelihood"] = project.settings.tracking.min_likelihood
+    talk.say(f"Network: {network.name} ({detector.checkpoint.backbone}, {detector.device})")
+    problems: list[tuple[Path, str, bool]] = []
+    for video in videos:
+        try:
+            warnings = _track_one(job, video, overlay, force)
+        except VideoError as error:
+            message = str(error).removeprefix(f"{video}: ")
+            talk.warn(f"{video}: {message}")
+            problems.append((video, message, True))
+        else:
+            problems += [(video, warning, False) for warning in warnings]
+    return problems
+
+
+def _track_one(job: _Job, video: Path, overlay: bool, force: bool) -> list[str]:
+    """Bring one video's files up to date; returns what is wrong with the video, when its frames are not all there."""
+    from ..bookkeeping import choose_stem, is_recorded, is_up_to_date, record_file
+    from ..figures import write_angle_figure
+    from ..overlay import write_overlay
+    from ..results import read_results, write_results
+    from ..tracking import track, tracking_settings
+    from ..video import file_sha256
+    from . import progress_bars
+
+    if not video.stat().st_size:
+        raise VideoError(f"{video}: expected a video, got an empty file")
+    sha256 = file_sha256(video)
+    stem, note = choose_stem(job.folder, video, sha256)
+    if note:
+        talk.warn(note)
+    figure_path = _beside(job.folder, stem, ".png", "angle", video)
+    overlay_path = _beside(job.folder, stem, ".mp4", _OVERLAY, video)
+    settings = tracking_settings(job.definition, **job.options)
+    fresh = not force and is_up_to_date(job.folder, stem, sha256, job.detector.provenance, settings)
+    table: AngleTable
+    if fresh:
+        table = read_results(job.folder / f"{stem}.h5")
+        talk.say(f"{video}: up to date")
+    else:
+        begun = time.monotonic()
+        with progress_bars.counting(video.name) as progress:
+            table = track(
+                video, job.detector, job.definition, progress=progress, video_sha256=sha256, **job.options
+            )
+        rate = len(table) / (time.monotonic() - begun)
+        csv_path, _, _ = write_results(table, job.folder, stem)
+        flagged = int((table.flag != "").sum())
+        talk.say(f"{video}: {len(table)} frames, {flagged} flagged, {rate:.0f} frames/s -> {csv_path}")
+    for warning in table.provenance["warnings"]:
+        talk.warn(f"{video}: {warning}")
+    if not is_recorded(job.folder, stem, figure_path):
+        write_angle_figure(table, figure_path)
+        record_file(job.folder, stem, figure_path)
+    if overlay and not is_recorded(job.folder, stem, overlay_path):
+        with progress_bars.counting(f"{video.name}: overlay") as progress:
+            write_overlay(video, table, overlay_path, progress)
+        record_file(job.folder, stem, overlay_path)
+        talk.say(f"{video}: overlay -> {overlay_path}")
+    if table.provenance["video"]["complete"]:
+        return []
+    return table.provenance["warnings"] or ["not all of its frames could be decoded"]
+
+
+def _beside(folder: Path, stem: str, suffix: str, word: str, video: Path) -> Path:
+    """The path of a file beside a table: a name that may be a file of the user's is not taken.
+
+    Such are the names in the folder of the videos themselves, and what was there before there were results.
+    """
+    path = folder / f"{stem}{suffix}"
+    foreign = path.exists() and not (folder / f"{stem}.json").exists()
+    if foreign or folder.resolve() == video.resolve().parent:
+        return folder / f"{stem}.{word}{suffix}"
+    return path
+
+
+def _check_writable(folder: Path) -> None:
+    """Find out now, not after an hour, whether results can be written."""
+    folder.mkdir(parents=True, exist_ok=True)
+    probe = folder / f".{secrets.token_hex(6)}.tmp"
+    try:
+        probe.write_bytes(b"bendtrack")
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise BendtrackError(
+            f"--out: expected a folder that can be written, got {folder} ({reason})"
+        ) from error
+    finally:
+        probe.unlink(missing_ok=True)
+
+
+def render(
+    out: Annotated[Path, typer.Argument(help="A new folder.", metavar="OUT")],
+    seed: Annotated[int, typer.Option(help="Draws the look and the noise.")] = 0,
+    wave: Annotated[str | None, typer.Option(help="triangle or staircase.")] = None,
+    frequency_hz: Annotated[float | None, typer.Option(help="Of the triangle.")] = None,
+    cycles: Annotated[float | None, typer.Option(help="Of the triangle.")] = None,
+    step_kpa: Annotated[float | None, typer.Option(help="Of the staircase.")] = None,
+    hold_s: Annotated[float | None, typer.Option(help="How long the staircase rests on a step.")] = None,
+    pressure_peak_kpa: Annotated[float | None, typer.Option(help="The largest pressure.")] = None,
+    angle_min_deg: Annotated[float | None, typer.Option(help="Angle at zero pressure.")] = None,
+    angle_max_deg: Annotated[float | None, typer.Option(help="Angle at the largest pressure.")] = None,
+    hysteresis_ratio: Annotated[float | None, typer.Option(help="Of every cycle of the triangle.")] = None,
+    frame_rate: Annotated[float | None, typer.Option(help="Frames per second.")] = None,
+    size: Annotated[str | None, typer.Option(help="Of the frames, px, such as 640x480.")] = None,
+    end_vector_px: Annotated[float | None, typer.Option(help="Distance of the two points of an end.")] = None,
+    labels: Annotated[int, typer.Option(help="Also label so many frames (labels.csv).")] = 0,
+    noise_px: Annotated[float | None, typer.Option(help="Error of the labels.")] = None,
+) -> None:
+    """Render a synthetic trial: video, pressure log, and the exact angle and keypoints of every frame."""
+    from ..synthetic.trial import labelled_sample, render_trial, write_labels
+    from . import progress_bars
+
+    given = {
+        "wave": wave,
+        "frequency_hz": frequency_hz,
+        "cycles": cycles,
+        "step_kpa": step_kpa,
+        "hold_s": hold_s,
+        "pressure_peak_kpa": pressure_peak_kpa,
+        "angle_min_deg": angle_min_deg,
+        "angle_max_deg": angle_max_deg,
+        "hysteresis_ratio": hysteresis_ratio,
+        "frame_rate": frame_rate,
+        "size_wh": None if size is None else _size_wh(size),
+        "end_vector_px": end_vector_px,
+    }
+    settings: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+    if out.is_dir() and any(out.iterdir()):
+        raise BendtrackError(
+            f"expected a new or an empty folder to render into, got one with files in it: {out}"
+        )
+    with progress_bars.counting("rendering") as progress:
+        trial = render_trial(out, seed=seed, progress=progress, **settings)
+    if labels:
+        noise = {} if noise_px is None else {"noise_px": noise_px}
+        write_labels(trial, out / "labels.csv", *labelled_sample(trial, labels, seed=seed, **noise))
+    talk.say(
+        f"{out}: {len(trial.time_s)} frames, {trial.angle_deg.min():.1f} to {trial.angle_deg.max():.1f}°, "
+        f"hysteresis ratio {trial.hysteresis_ratio:g}"
+    )
+    if labels:
+        talk.say(f"Next: bendtrack import PROJECT {out / 'labels.csv'} --video {trial.video_path}")
+
+
+def _size_wh(text: str) -> tuple[int, int]:
+    """Width and height of a size such as 640x480.
+
+    >>> _size_wh("640x480")
+    (640, 480)
+    """
+    width, _, height = text.lower().partition("x")
+    if not (width.isdigit() and height.isdigit()):
+        raise BendtrackError(f"--size: expected width x height in px such as 640x480, got '{text}'")
+    return int(width), int(height)
