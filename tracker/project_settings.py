@@ -62,6 +62,7 @@ class TrainingSettings(_Section):
     max_minutes: float | None = Field(default=None, gt=0)
     seed: int | None = Field(default=None, ge=0)
     steps: int | None = Field(default=None, ge=1)
+    batch_frames: int | None = Field(default=None, ge=1)
     held_out: float | None = Field(default=None, ge=0, lt=1)
 
 

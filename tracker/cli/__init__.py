@@ -3,6 +3,9 @@
 A command takes its arguments apart and calls plain functions; what they report is printed here and nowhere else.
 """
 
+import sys
+import warnings
+
 from .app import app
 from .demo_command import demo
 from .doctor_command import doctor
@@ -29,4 +32,6 @@ for _name, _command in _COMMANDS.items():
 
 def main() -> None:
     """Entry point of the installed command `bendtrack`."""
+    if not sys.warnoptions and "--debug" not in sys.argv:
+        warnings.simplefilter("ignore")  # libraries' words to programmers; ours come through `talk`
     app()

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import sys
 import traceback
-import warnings
 from typing import Annotated, Any
 
 import typer
@@ -83,8 +82,6 @@ def _bendtrack(
         # A file name or a sign that the terminal's encoding lacks must not end a run.
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
-    if not (debug or sys.warnoptions):
-        warnings.simplefilter("ignore")  # libraries' words to programmers; ours come through `talk`
 
 
 def _one_line(error: BaseException) -> str:
