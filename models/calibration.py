@@ -24,7 +24,7 @@ class Calibration:
     Attributes
     ----------
     scale : factor on the network's own covariances, at least 1; above it when held-out labels lie further away
-        than spread and labelling error explain
+        than spread, labelling error and chance explain
     label_sd_px : a label's own error, standard deviation of x and of y, from the trained frames' residuals
     n_labels : labels that a keypoint was learnt from
     """
@@ -59,9 +59,12 @@ def calibrate(
         covariance = own * scale + np.eye(2) * label_sd**2 * (1 + 1 / n)
         return float(np.median(np.einsum("ni,nij,nj->n", off, np.linalg.inv(covariance), off)))
 
-    low, high = 1.0, 1e4
-    if not len(off) or distance2(low) <= MEDIAN_CHI2:
+    # Few points are held out, and half of all medians lie above their expectation: only what chance would not do
+    # (two standard errors of the median, 2 / sqrt(n) each) says that the spread is too small.
+    chance = MEDIAN_CHI2 + 2 * 2 / np.sqrt(max(len(off), 1))
+    if not len(off) or distance2(1.0) <= chance:
         return Calibration(1.0, label_sd, n)
+    low, high = 1.0, 1e4
     for _ in range(60):
         middle = float(np.sqrt(low * high))
         low, high = (middle, high) if distance2(middle) > MEDIAN_CHI2 else (low, middle)

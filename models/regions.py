@@ -24,7 +24,7 @@ LOCATOR_BODY = 56
 PATCH_SIDE = 64
 """Side of the refiner's square input in px."""
 
-PATCH_BODY_SHARE = 0.25
+PATCH_BODY_SHARE = 0.15
 """A patch shows so much of the body's length: enough to see what the keypoint belongs to."""
 
 MAX_MAGNIFICATION = 1.5
@@ -87,7 +87,7 @@ class WorkingRegion:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready, and read back by `from_dict`."""
-        return asdict(self)
+        return {**asdict(self), "frame_wh": list(self.frame_wh)}
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> WorkingRegion:

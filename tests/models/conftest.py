@@ -1,0 +1,71 @@
+"""Small pictures with known points: four discs of different colours along a bending finger."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from bendtrack.tracker.angle import AngleDefinition
+from bendtrack.tracker.types import LabelledFrame
+
+KEYPOINTS = ("base_1", "base_2", "tip_1", "tip_2")
+SIZE_WH = (160, 120)
+_COLOURS = ((220, 60, 40), (240, 200, 40), (60, 200, 90), (60, 110, 230))
+
+
+def finger_xy(angle_deg: float) -> np.ndarray:
+    """Four points of a finger with a fixed base at (40, 60) and its last segment turned by `angle_deg`."""
+    turn = np.deg2rad(angle_deg)
+    directions = np.array([0.0, turn / 2, turn])
+    steps = np.stack([np.cos(directions), np.sin(directions)], axis=1) * [[24.0], [34.0], [24.0]]
+    return np.array([40.0, 60.0]) + np.vstack([[0, 0], np.cumsum(steps, axis=0)])
+
+
+def drawn(angle_deg: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """A picture RGB uint8 (120, 160, 3) of the finger and its points (4, 2)."""
+    rng = np.random.default_rng(seed)
+    xy = finger_xy(angle_deg)
+    big = np.full((480, 640, 3), (120, 125, 130), np.uint8)
+    points = [tuple(int(v) for v in np.round((p + 0.5) * 4 * 16 - 8)) for p in xy]
+    for first, second in pairwise(points):
+        cv2.line(big, first, second, (200, 195, 190), 28, cv2.LINE_AA, 4)
+    for point, colour in zip(points, _COLOURS, strict=True):
+        cv2.circle(big, point, 14 * 16, colour, -1, cv2.LINE_AA, 4)
+    image = cv2.resize(big, SIZE_WH, interpolation=cv2.INTER_AREA)
+    return np.clip(image + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8), xy
+
+
+@pytest.fixture(scope="session")
+def definition() -> AngleDefinition:
+    return AngleDefinition("two-vector", KEYPOINTS)
+
+
+@pytest.fixture
+def make_frames(tmp_path: Path) -> Callable[..., list[LabelledFrame]]:
+    """Labelled frames at given angles, written as pictures."""
+
+    def make(angles_deg: np.ndarray, noise_px: float = 0.0, start: int = 0) -> list[LabelledFrame]:
+        rng = np.random.default_rng(start)
+        frames = []
+        for index, angle in enumerate(angles_deg, start=start):
+            image, xy = drawn(float(angle), index)
+            path = tmp_path / f"img{index:05d}.png"
+            cv2.imwrite(str(path), image[..., ::-1])
+            frames.append(
+                LabelledFrame("finger", path, xy + rng.normal(0, noise_px, xy.shape), "default", index)
+            )
+        return frames
+
+    return make
+
+
+@pytest.fixture(autouse=True)
+def _two_threads() -> None:
+    """The same sums in the same order everywhere: resuming is tested to the bit."""
+    torch.set_num_threads(2)

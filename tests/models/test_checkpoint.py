@@ -1,0 +1,109 @@
+"""Checkpoints: what was saved comes back, and what is no checkpoint is said to be none."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors import safe_open
+from safetensors.torch import load_file, save_file
+
+from bendtrack.models.calibration import Calibration
+from bendtrack.models.cascade import Cascade
+from bendtrack.models.checkpoint import FORMAT, WEIGHTS_FILE, Checkpoint, load_checkpoint
+from bendtrack.models.detector import NetworkDetector
+from bendtrack.models.regions import WorkingRegion
+from bendtrack.tracker.angle import AngleDefinition
+from bendtrack.tracker.errors import CheckpointError
+
+KEYPOINTS = ("base_1", "base_2", "tip_1", "tip_2", "Schlauch")
+
+
+@pytest.fixture
+def checkpoint() -> Checkpoint:
+    torch.manual_seed(0)
+    return Checkpoint(
+        network=Cascade("resnet18", 5).eval(),
+        backbone="resnet18",
+        keypoints=KEYPOINTS,
+        definition=AngleDefinition("two-vector", KEYPOINTS[:4], -1),
+        regions=(
+            WorkingRegion((160, 120), 10, 20, 100, 90, 1.0, 1.5),
+            WorkingRegion((320, 240), 20, 40, 200, 180, 0.5, 0.75),
+        ),
+        partner=(1, 0, 3, 2, 0),
+        calibration=Calibration(1.5, 0.9, 27),
+        training={"trained_on": ["v/img00001.png"], "started_from": "random"},
+    )
+
+
+def test_comes_back_as_it_was(checkpoint: Checkpoint, tmp_path: Path) -> None:
+    checkpoint.save(tmp_path / "model")
+    again = load_checkpoint(tmp_path / "model")
+    assert (
+        again.header() == checkpoint.header() == json.loads((tmp_path / "model/checkpoint.json").read_text())
+    )
+    frames = np.random.default_rng(0).integers(0, 255, (2, 120, 160, 3), dtype=np.uint8)
+    before, after = checkpoint.detect(frames), again.detect(frames)
+    np.testing.assert_array_equal(before.xy, after.xy)
+    np.testing.assert_array_equal(before.covariance, after.covariance)
+    assert again.region_for((320, 240)).locator_scale == 0.5
+    assert again.region_for((640, 480)).width == 640
+
+
+def test_moving_to_another_folder_changes_nothing_and_the_hash_tells_networks_apart(
+    checkpoint: Checkpoint, tmp_path: Path
+) -> None:
+    checkpoint.save(tmp_path / "a")
+    (tmp_path / "a").rename(tmp_path / "b")
+    first = NetworkDetector.load(tmp_path / "b").provenance
+    with torch.no_grad():
+        checkpoint.network.locator.head.bias += 0.1
+    checkpoint.save(tmp_path / "c")
+    second = NetworkDetector.load(tmp_path / "c" / WEIGHTS_FILE).provenance
+    assert first["checkpoint_sha256"] != second["checkpoint_sha256"]
+
+
+def test_it_is_safetensors_with_its_header_and_no_pickle(checkpoint: Checkpoint, tmp_path: Path) -> None:
+    path = checkpoint.save(tmp_path)
+    with safe_open(path, "pt") as file:
+        assert json.loads(file.metadata()["bendtrack"])["keypoints"] == list(KEYPOINTS)
+    assert {p.name for p in tmp_path.iterdir()} == {WEIGHTS_FILE, "checkpoint.json"}
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        ("missing", "expected a trained network at"),
+        ("text", "got a damaged file"),
+        ("truncated", "got a damaged file"),
+        ("foreign", "safetensors without its header"),
+        ("newer", f"expected checkpoint format {FORMAT} or older, got {FORMAT + 1}"),
+        ("backbone", "expected a known backbone, got 'resnet9000'"),
+        ("other weights", "got a damaged file"),
+    ],
+)
+def test_what_is_no_checkpoint_is_said(
+    damage: str, message: str, checkpoint: Checkpoint, tmp_path: Path
+) -> None:
+    path = checkpoint.save(tmp_path)
+    header, tensors = checkpoint.header(), load_file(path)
+    if damage == "missing":
+        path.unlink()
+    elif damage == "text":
+        path.write_text("weights")
+    elif damage == "truncated":
+        path.write_bytes(path.read_bytes()[:-100])
+    elif damage == "foreign":
+        save_file({"a": torch.zeros(2)}, path)
+    elif damage == "newer":
+        save_file(tensors, path, {"bendtrack": json.dumps(header | {"format": FORMAT + 1})})
+    elif damage == "backbone":
+        save_file(tensors, path, {"bendtrack": json.dumps(header | {"backbone": "resnet9000"})})
+    elif damage == "other weights":
+        save_file({"a": torch.zeros(2)}, path, {"bendtrack": json.dumps(header)})
+    with pytest.raises(CheckpointError, match=message):
+        load_checkpoint(tmp_path)
