@@ -14,16 +14,17 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
 
 from ..tracker.angle import AngleDefinition
-from ..tracker.atomic import atomic_path, atomic_write_text
+from ..tracker.atomic import atomic_write_text
 from ..tracker.errors import BendtrackError, CheckpointError
 from ..tracker.types import Detections, ImageArray
 from .calibration import Calibration
 from .cascade import Cascade
 from .network import BACKBONES
 from .regions import WorkingRegion
+from .tensor_files import write_tensors
 
 WEIGHTS_FILE = "weights.safetensors"
 FORMAT = 1
@@ -89,9 +90,7 @@ class Checkpoint:
         """Write `weights.safetensors` and `checkpoint.json` into a folder; returns the former."""
         folder.mkdir(parents=True, exist_ok=True)
         header = self.header()
-        tensors = {n: v.detach().cpu().contiguous() for n, v in self.network.state_dict().items()}
-        with atomic_path(folder / WEIGHTS_FILE) as temporary:
-            save_file(tensors, temporary, metadata={"bendtrack": json.dumps(header)})
+        write_tensors(folder / WEIGHTS_FILE, self.network.state_dict(), header)
         atomic_write_text(folder / "checkpoint.json", json.dumps(header, indent=2) + "\n")
         return folder / WEIGHTS_FILE
 

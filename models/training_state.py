@@ -11,12 +11,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
 from torch import Tensor, nn
 
-from ..tracker.atomic import atomic_path
 from ..tracker.errors import TrainingError
 from .schedule import Schedule
+from .tensor_files import write_tensors
 
 STATE_FILE = "training-state.safetensors"
 
@@ -62,9 +62,7 @@ def save_state(
         "rows": state.rows,
         "best_step": state.best_step,
     }
-    tensors = {n: v.detach().cpu().contiguous() for n, v in tensors.items()}
-    with atomic_path(path) as temporary:
-        save_file(tensors, temporary, metadata={"bendtrack": json.dumps(header)})
+    write_tensors(path, tensors, header)
 
 
 def load_state(

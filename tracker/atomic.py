@@ -5,6 +5,7 @@ Every file that bendtrack writes goes through here. What is in the file is the c
 
 from __future__ import annotations
 
+import glob
 import os
 import secrets
 from collections.abc import Iterator
@@ -41,6 +42,14 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
         raise
     _fsync_folder(target.parent)
+
+
+def remove_leftovers(path: str | Path) -> None:
+    """Remove the temporary files that killed writers of `path` left. Only for who is alone in writing it."""
+    target = Path(os.path.realpath(path))
+    pattern = f".{glob.escape(target.stem[:40])}.{'[0-9a-f]' * 12}.tmp{glob.escape(target.suffix)}"
+    for leftover in target.parent.glob(pattern):
+        leftover.unlink(missing_ok=True)
 
 
 def atomic_write_text(path: str | Path, text: str) -> None:

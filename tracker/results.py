@@ -6,6 +6,7 @@ pictures of them in `figures.py` and `overlay.py`.
 
 from __future__ import annotations
 
+import io
 import json
 import math
 from collections.abc import Mapping
@@ -19,7 +20,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from .angle import AngleDefinition
-from .atomic import atomic_path, atomic_write_text
+from .atomic import atomic_path, atomic_write_bytes, atomic_write_text
 from .errors import AngleError, ResultsError
 from .types import FloatArray
 from .video import file_sha256
@@ -121,8 +122,7 @@ def write_results(table: AngleTable, out_dir: str | Path, stem: str) -> tuple[Pa
     csv_path, h5_path, json_path = (folder / f"{stem}{suffix}" for suffix in (".csv", ".h5", ".json"))
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with atomic_path(h5_path) as temporary:
-            _write_h5(table, temporary)
+        atomic_write_bytes(h5_path, _h5_bytes(table))
         with atomic_path(csv_path) as temporary:
             _write_csv(table, temporary)
         record = {
@@ -266,8 +266,10 @@ def _definition(path: Path, fields: dict[str, Any] | None) -> AngleDefinition | 
         raise ResultsError(f"{path}: its angle definition cannot be read ({error})") from error
 
 
-def _write_h5(table: AngleTable, path: Path) -> None:
-    with h5py.File(path, "w") as file:
+def _h5_bytes(table: AngleTable) -> bytes:
+    """The HDF5 file, made in memory: the library crashes at exit when a disk fills up under an open file."""
+    buffer = io.BytesIO()
+    with h5py.File(buffer, "w") as file:
         for name, unit in _UNITS.items():
             values = getattr(table, name)
             file.create_dataset(name, data=values, compression="gzip", shuffle=True).attrs["units"] = unit
@@ -283,6 +285,7 @@ def _write_h5(table: AngleTable, path: Path) -> None:
             text = json.dumps(json_ready(value), ensure_ascii=False, allow_nan=False)
             file.create_dataset(name, data=text, dtype=h5py.string_dtype())
         file.attrs["format"] = FORMAT
+    return buffer.getvalue()
 
 
 def _read_h5(path: Path) -> AngleTable:

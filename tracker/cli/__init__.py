@@ -5,6 +5,7 @@ A command takes its arguments apart and calls plain functions; what they report 
 
 import sys
 import warnings
+from collections.abc import Callable
 
 from .app import app
 from .demo_command import demo
@@ -15,7 +16,7 @@ from .video_commands import render, track
 
 __all__ = ["main"]
 
-_COMMANDS = {  # in the order of --help
+_COMMANDS: dict[str, Callable[..., None]] = {  # in the order of --help
     "demo": demo,
     "new": new,
     "import": import_labels,

@@ -58,7 +58,7 @@ def demo(
     talk.say("\n3. The angle in every frame of the video")
     problems = track_videos(project, network, [video], project.results_dir, overlay=True)
     if problems:
-        raise BendtrackError(f"{video}: {problems[0][1]}")
+        raise BendtrackError(f"{video}: {problems[video]}")
 
     table = read_results(project.results_dir / "video.h5")
     talk.say(f"\n4. Beside the truth ({time.monotonic() - begun:.0f} s in all)")
@@ -119,6 +119,7 @@ def _compare(table: AngleTable, truth_path: Path, network: Path) -> None:
     truth = pd.read_csv(truth_path)
     error = table.angle_deg - truth["angle_deg"].to_numpy()
     known = np.isfinite(error)
+    rms = float(np.sqrt(np.mean(error[known] ** 2)))
     assert table.definition is not None
     floor = label_noise_floor_deg(
         _LABEL_NOISE_PX,
@@ -127,14 +128,8 @@ def _compare(table: AngleTable, truth_path: Path, network: Path) -> None:
     )
     angle = truth["angle_deg"]
     talk.show(
-        f"angle    {angle.min():.0f} to {angle.max():.0f}° in {len(table)} frames; RMS error {_rms(error[known]):.2f}°,"
+        f"angle    {angle.min():.0f} to {angle.max():.0f}° in {len(table)} frames; RMS error {rms:.2f}°,"
         f" {int((~known).sum())} frames without an angle\n"
         f"         (label-noise floor {floor:.2f}°: the labels are {_LABEL_NOISE_PX:g} px off,"
         " as a steady hand's are)"
     )
-
-
-def _rms(values: object) -> float:
-    import numpy as np
-
-    return float(np.sqrt(np.mean(np.square(values))))

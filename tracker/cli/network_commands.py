@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import csv
 import json
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..atomic import atomic_write_text
+from ..atomic import atomic_write_text, remove_leftovers
 from ..errors import BendtrackError, CheckpointError, LabelError, TrainingError
 from . import model_folders, talk
 from .project_commands import ProjectArgument
@@ -136,6 +137,7 @@ def train_network(
     -------
     How the network does on the frames that were held out; None without any.
     """
+    from ...models.checkpoint import WEIGHTS_FILE
     from ...models.evaluation import not_trained_on
     from ...models.training import train
     from ...models.training_state import STATE_FILE
@@ -146,19 +148,30 @@ def train_network(
     talk.say(f"{'Going on with' if resume else 'Training'} '{folder.name}' on {len(frames)} labelled frames")
     _say_start(settings)
     folder.mkdir(parents=True, exist_ok=True)
+    state, stored = folder / STATE_FILE, folder / model_folders.SETTINGS_FILE
+    for path in (state, folder / WEIGHTS_FILE):
+        remove_leftovers(path)
     if not resume:
-        (folder / STATE_FILE).unlink(missing_ok=True)
-    resume = (folder / STATE_FILE).is_file()  # a training may have been stopped before it saved anything
-    atomic_write_text(folder / model_folders.SETTINGS_FILE, json.dumps(settings.to_dict(), indent=2) + "\n")
+        state.unlink(missing_ok=True)
+    atomic_write_text(stored, json.dumps(settings.to_dict(), indent=2) + "\n")
     try:
         with progress_bars.training(folder.name) as progress:
             checkpoint = train(
-                frames, project.keypoints, definition, folder, settings, resume=resume, progress=progress
+                frames,
+                project.keypoints,
+                definition,
+                folder,
+                settings,
+                resume=state.is_file(),  # it may have been stopped before it saved anything
+                progress=progress,
             )
-    except KeyboardInterrupt:
-        talk.say(
-            f"'{folder.name}' is not finished; `bendtrack train {project.root} --resume` goes on with it"
-        )
+    except BaseException:
+        if state.is_file():
+            talk.say(f"Not finished: `bendtrack train {project.root} --resume` goes on with '{folder.name}'")
+        else:  # nothing was learnt, so nothing is left
+            stored.unlink(missing_ok=True)
+            with suppress(OSError):
+                folder.rmdir()
         raise
     facts = checkpoint.training
     talk.say(

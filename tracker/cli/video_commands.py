@@ -53,9 +53,11 @@ def track(
     network = model_folders.chosen(opened, model)
     problems = track_videos(opened, network, paths, folder, overlay=overlay, force=force)
     if problems:
-        done = len(paths) - len({path for path, _, lost in problems if lost})
-        talk.complain(f"{done} of {len(paths)} videos tracked; to be looked at:")
-        for path, problem, _ in problems:
+        if len(paths) > 1:
+            talk.complain(
+                f"{len(problems)} of {len(paths)} videos failed or are damaged, the others are done:"
+            )
+        for path, problem in problems.items():
             talk.complain(f"{path}: {problem}")
         raise typer.Exit(1)
 
@@ -107,12 +109,12 @@ class _Job:
 
 def track_videos(
     project: Project, network: Path, videos: list[Path], folder: Path, *, overlay: bool, force: bool = False
-) -> list[tuple[Path, str, bool]]:
+) -> dict[Path, str]:
     """Track videos one after the other and write tables, figures and overlays.
 
     Returns
     -------
-    What went wrong: video, problem, and whether the video has no table. A video that is damaged has one.
+    The videos that failed or are damaged, and why. A damaged one is tracked as far as it goes.
     """
     from ...models.detector import NetworkDetector
 
@@ -130,21 +132,22 @@ def track_videos(
     if project.settings.tracking.min_likelihood is not None:
         job.options["min_likelihood"] = project.settings.tracking.min_likelihood
     talk.say(f"Network: {network.name} ({detector.checkpoint.backbone}, {detector.device})")
-    problems: list[tuple[Path, str, bool]] = []
+    problems: dict[Path, str] = {}
     for video in videos:
         try:
-            warnings = _track_one(job, video, overlay, force)
+            damage = _track_one(job, video, overlay, force)
         except VideoError as error:
-            message = str(error).removeprefix(f"{video}: ")
-            talk.warn(f"{video}: {message}")
-            problems.append((video, message, True))
+            talk.say(f"{video}: failed")
+            problems[video] = str(error).removeprefix(f"{video}: ")
         else:
-            problems += [(video, warning, False) for warning in warnings]
+            if damage:
+                problems[video] = damage
     return problems
 
 
-def _track_one(job: _Job, video: Path, overlay: bool, force: bool) -> list[str]:
-    """Bring one video's files up to date; returns what is wrong with the video, when its frames are not all there."""
+def _track_one(job: _Job, video: Path, overlay: bool, force: bool) -> str | None:
+    """Bring one video's files up to date; what is wrong with the video, when its frames are not all there."""
+    from ..atomic import remove_leftovers
     from ..bookkeeping import choose_stem, is_recorded, is_up_to_date, record_file
     from ..figures import write_angle_figure
     from ..overlay import write_overlay
@@ -161,6 +164,9 @@ def _track_one(job: _Job, video: Path, overlay: bool, force: bool) -> list[str]:
         talk.warn(note)
     figure_path = _beside(job.folder, stem, ".png", "angle", video)
     overlay_path = _beside(job.folder, stem, ".mp4", _OVERLAY, video)
+    tables = [job.folder / f"{stem}{suffix}" for suffix in (".h5", ".csv", ".json")]
+    for path in (*tables, figure_path, overlay_path):
+        remove_leftovers(path)
     settings = tracking_settings(job.definition, **job.options)
     fresh = not force and is_up_to_date(job.folder, stem, sha256, job.detector.provenance, settings)
     table: AngleTable
@@ -177,7 +183,8 @@ def _track_one(job: _Job, video: Path, overlay: bool, force: bool) -> list[str]:
         csv_path, _, _ = write_results(table, job.folder, stem)
         flagged = int((table.flag != "").sum())
         talk.say(f"{video}: {len(table)} frames, {flagged} flagged, {rate:.0f} frames/s -> {csv_path}")
-    for warning in table.provenance["warnings"]:
+    warnings, complete = table.provenance["warnings"], table.provenance["video"]["complete"]
+    for warning in warnings if complete else ():
         talk.warn(f"{video}: {warning}")
     if not is_recorded(job.folder, stem, figure_path):
         write_angle_figure(table, figure_path)
@@ -187,9 +194,7 @@ def _track_one(job: _Job, video: Path, overlay: bool, force: bool) -> list[str]:
             write_overlay(video, table, overlay_path, progress)
         record_file(job.folder, stem, overlay_path)
         talk.say(f"{video}: overlay -> {overlay_path}")
-    if table.provenance["video"]["complete"]:
-        return []
-    return table.provenance["warnings"] or ["not all of its frames could be decoded"]
+    return None if complete else f"damaged, tracked as far as it goes: {'; '.join(warnings)}"
 
 
 def _beside(folder: Path, stem: str, suffix: str, word: str, video: Path) -> Path:
