@@ -44,11 +44,13 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     _fsync_folder(target.parent)
 
 
-def remove_leftovers(path: str | Path) -> None:
-    """Remove the temporary files that killed writers of `path` left. Only for who is alone in writing it."""
-    target = Path(os.path.realpath(path))
-    pattern = f".{glob.escape(target.stem[:40])}.{'[0-9a-f]' * 12}.tmp{glob.escape(target.suffix)}"
-    for leftover in target.parent.glob(pattern):
+def remove_leftovers(folder: str | Path, stem: str | None = None) -> None:
+    """Remove temporary files that killed writers left, of all files of a folder or of those with one stem.
+
+    Only for who is alone in writing them.
+    """
+    name = "*" if stem is None else glob.escape(stem[:40])
+    for leftover in Path(folder).glob(f".{name}.{'[0-9a-f]' * 12}.tmp*"):
         leftover.unlink(missing_ok=True)
 
 

@@ -26,7 +26,9 @@ def demo(
         "bendtrack-demo"
     ),
 ) -> None:
-    """The whole job on a bundled sample trial: labels, network, angles, figure, overlay. About three minutes.
+    """The whole job on a bundled sample trial.
+
+    Labels, network, angles, figure, overlay, and how far all that is from the truth, in a few minutes.
 
     Called again, it goes on where it was stopped, or shows what is there.
     """

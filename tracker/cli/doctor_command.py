@@ -19,7 +19,7 @@ _BACKBONES_SHOWN = ("resnet18", "resnet34", "resnet50")
 
 
 def doctor() -> None:
-    """Say what is installed, which devices and codecs there are, and what would be used."""
+    """Say what is installed and what would be used."""
     import torch
 
     from ...models.checkpoint import best_device

@@ -81,7 +81,10 @@ def evaluate(
         typer.Option(help="Cross-validation: train so many networks, each judged on what it has not seen."),
     ] = None,
 ) -> None:
-    """Errors on labelled frames that the network was not trained on, in px and in degrees."""
+    """Errors on labels that were not trained on.
+
+    In px for every keypoint, in degrees for the angle; also figures, and the frames that went worst.
+    """
     from ...models.cross_validation import cross_validate
     from ...models.detector import NetworkDetector
     from ...models.evaluation import not_trained_on
@@ -137,7 +140,6 @@ def train_network(
     -------
     How the network does on the frames that were held out; None without any.
     """
-    from ...models.checkpoint import WEIGHTS_FILE
     from ...models.evaluation import not_trained_on
     from ...models.training import train
     from ...models.training_state import STATE_FILE
@@ -149,8 +151,7 @@ def train_network(
     _say_start(settings)
     folder.mkdir(parents=True, exist_ok=True)
     state, stored = folder / STATE_FILE, folder / model_folders.SETTINGS_FILE
-    for path in (state, folder / WEIGHTS_FILE):
-        remove_leftovers(path)
+    remove_leftovers(folder)
     if not resume:
         state.unlink(missing_ok=True)
     atomic_write_text(stored, json.dumps(settings.to_dict(), indent=2) + "\n")

@@ -91,7 +91,7 @@ def export_labels(
         list[Path] | None, typer.Option(help="A video to name in it. May be given more than once.")
     ] = None,
 ) -> None:
-    """Write the project's labels as a DeepLabCut project."""
+    """Write the labels as a DeepLabCut project."""
     from ...labeling.interop.dlc_export import export_dlc
     from ..project import Project
 

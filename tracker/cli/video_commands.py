@@ -39,10 +39,10 @@ def track(
     ] = False,
     force: Annotated[bool, typer.Option("--force", help="Also what is up to date.")] = False,
 ) -> None:
-    """Bending angle over time for videos: a table (CSV, HDF5), a figure, and how they came about (JSON).
+    """Measure the bending angle over time in videos.
 
-    What is up to date is passed over: the same video, network and settings. Exit status 1 when a video failed or
-    is damaged; the others are done.
+    Writes a table (CSV, HDF5), a figure, and how they came about (JSON). What is up to date is passed over: the same
+    video, network and settings. Exit status 1 when a video failed or is damaged; the others are done.
     """
     from ..project import Project
 
@@ -164,9 +164,8 @@ def _track_one(job: _Job, video: Path, overlay: bool, force: bool) -> str | None
         talk.warn(note)
     figure_path = _beside(job.folder, stem, ".png", "angle", video)
     overlay_path = _beside(job.folder, stem, ".mp4", _OVERLAY, video)
-    tables = [job.folder / f"{stem}{suffix}" for suffix in (".h5", ".csv", ".json")]
-    for path in (*tables, figure_path, overlay_path):
-        remove_leftovers(path)
+    for name in {stem, figure_path.stem, overlay_path.stem}:
+        remove_leftovers(job.folder, name)
     settings = tracking_settings(job.definition, **job.options)
     fresh = not force and is_up_to_date(job.folder, stem, sha256, job.detector.provenance, settings)
     table: AngleTable
@@ -242,7 +241,10 @@ def render(
     labels: Annotated[int, typer.Option(help="Also label so many frames (labels.csv).")] = 0,
     noise_px: Annotated[float | None, typer.Option(help="Error of the labels.")] = None,
 ) -> None:
-    """Render a synthetic trial: video, pressure log, and the exact angle and keypoints of every frame."""
+    """Render a synthetic trial with its exact truth.
+
+    A video, a pressure log, and the angle and the keypoints of every frame.
+    """
     from ..synthetic.trial import labelled_sample, render_trial, write_labels
     from . import progress_bars
 

@@ -1,0 +1,168 @@
+"""bendtrack track: which videos, what is written, what is up to date, what a kill leaves."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from bendtrack.tracker.project import Project
+from bendtrack.tracker.results import read_results
+from bendtrack.tracker.video import Video
+
+
+@pytest.fixture
+def videos(tmp_path: Path, write_arm_video) -> Path:
+    """A folder with a.mp4 and b.MP4, and a text."""
+    folder = tmp_path / "videos"
+    folder.mkdir()
+    write_arm_video(folder / "a.mp4", 12)
+    write_arm_video(folder / "b.mp4", 7).rename(folder / "b.MP4")
+    (folder / "notes.txt").write_text("not a video")
+    return folder
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_a_folder_becomes_tables_figures_and_overlays(
+    bendtrack, trained_project: Project, videos: Path
+) -> None:
+    ran = bendtrack("track", trained_project.root, videos, "--overlay")
+    assert (ran.status, ran.err) == (0, "")
+    results = trained_project.results_dir
+    assert names(results) == [
+        f"{stem}.{kind}" for stem in "ab" for kind in ("csv", "h5", "json", "mp4", "png")
+    ]
+    assert "a.mp4: 12 frames" in ran.out
+    table = read_results(results / "a.csv")
+    assert len(table) == 12
+    assert table.definition == read_results(results / "a.h5").definition
+    assert len(list(Video(results / "a.mp4"))) == 12
+    record = json.loads((results / "a.json").read_text())
+    assert record["detector"]["checkpoint_sha256"]
+    assert set(record["files"]) == {"csv", "h5", "png", "mp4"}
+
+
+def test_what_is_up_to_date_is_passed_over(bendtrack, trained_project: Project, videos: Path) -> None:
+    results = trained_project.results_dir
+    pattern = videos / "*.[mM]*4"
+    assert bendtrack("track", trained_project.root, pattern).status == 0
+    before = {path.name: path.stat().st_mtime_ns for path in results.iterdir()}
+    ran = bendtrack("track", trained_project.root, pattern, videos / "a.mp4")
+    assert ran.out.count(": up to date") == 2
+    assert {path.name: path.stat().st_mtime_ns for path in results.iterdir()} == before
+
+    # An overlay that is asked for later is drawn from the table that is there.
+    ran = bendtrack("track", trained_project.root, videos / "a.mp4", "--overlay")
+    assert "up to date" in ran.out
+    assert (results / "a.mp4").is_file()
+    assert (results / "a.csv").stat().st_mtime_ns == before["a.csv"]
+
+    # Damage is seen, and so is a setting that changed.
+    (results / "b.csv").write_text("frame\n")
+    assert bendtrack("track", trained_project.root, pattern).out.count(": up to date") == 1
+    toml = trained_project.root / "bendtrack.toml"
+    toml.write_text(toml.read_text().replace("# min_likelihood = 0.6 ", "min_likelihood = 0.3 "))
+    ran = bendtrack("track", trained_project.root, pattern, "--overlay")
+    assert ": up to date" not in ran.out
+    assert ran.out.count("overlay ->") == 2  # the old one showed the old table
+    assert ": up to date" not in bendtrack("track", trained_project.root, pattern, "--force").out
+
+
+def test_another_network_makes_new_tables(bendtrack, trained_project: Project, videos: Path) -> None:
+    assert bendtrack("track", trained_project.root, videos / "a.mp4").status == 0
+    assert bendtrack("train", trained_project.root, "--seed", 8).status == 0
+    ran = bendtrack("track", trained_project.root, videos / "a.mp4")
+    assert "Network: model-2" in ran.out
+    assert "12 frames" in ran.out
+    ran = bendtrack("track", trained_project.root, videos / "a.mp4", "--model", "model")
+    assert "Network: model " in ran.out
+    assert "12 frames" in ran.out
+
+
+def test_videos_of_one_name_keep_their_own_results(
+    bendtrack, trained_project: Project, videos: Path, write_arm_video
+) -> None:
+    (videos / "more").mkdir()
+    other = write_arm_video(videos / "more" / "a.mp4", 9)
+    ran = bendtrack("track", trained_project.root, videos / "a.mp4", other)
+    assert ran.status == 0
+    assert "belong to another video" in ran.err
+    tables = sorted(trained_project.results_dir.glob("a*.csv"))
+    assert sorted(len(read_results(path)) for path in tables) == [9, 12]
+
+
+def test_results_beside_the_videos_leave_the_videos_alone(
+    bendtrack, trained_project: Project, videos: Path
+) -> None:
+    before = {path.name: path.read_bytes() for path in videos.iterdir()}
+    for _ in range(2):
+        ran = bendtrack("track", trained_project.root, videos, "--out", videos, "--overlay")
+        assert ran.status == 0
+    assert {name: (videos / name).read_bytes() for name in before} == before
+    assert {"a.overlay.mp4", "a.angle.png", "a.csv"} <= set(names(videos))
+    assert ran.out.count(": up to date") == 2  # an overlay is not tracked as a video
+
+
+def test_a_file_that_is_not_ours_is_not_overwritten(
+    bendtrack, trained_project: Project, videos: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "a.mp4").write_bytes(b"the only copy of something")
+    assert bendtrack("track", trained_project.root, videos / "a.mp4", "--out", out, "--overlay").status == 0
+    assert (out / "a.mp4").read_bytes() == b"the only copy of something"
+    assert (out / "a.overlay.mp4").is_file()
+
+
+def test_the_angle_is_the_one_the_network_was_trained_for(
+    bendtrack, trained_project: Project, videos: Path
+) -> None:
+    toml = trained_project.root / "bendtrack.toml"
+    toml.write_text(toml.read_text().replace('definition = "two-vector"', 'definition = "arc-fit"'))
+    ran = bendtrack("track", trained_project.root, videos / "a.mp4")
+    assert ran.status == 0
+    assert "bendtrack.toml names another angle" in ran.err
+    assert read_results(trained_project.results_dir / "a.h5").definition.name == "two-vector"
+
+
+def test_a_moved_project_works(bendtrack, trained_project: Project, videos: Path, tmp_path: Path) -> None:
+    assert bendtrack("track", trained_project.root, videos / "a.mp4").status == 0
+    moved = shutil.move(trained_project.root, tmp_path / "elsewhere and spaces é")
+    ran = bendtrack("track", moved, videos / "a.mp4")
+    assert (ran.status, ran.err) == (0, "")
+    assert "up to date" in ran.out
+
+
+def test_a_kill_leaves_whole_files_and_the_next_run_finishes(
+    bendtrack, trained_project: Project, videos: Path, write_arm_video
+) -> None:
+    write_arm_video(videos / "c.mp4", 600)
+    results = trained_project.results_dir
+    process = subprocess.Popen(
+        [bendtrack.command, "track", trained_project.root, videos], stdout=subprocess.PIPE, text=True
+    )
+    end = time.monotonic() + 200
+    while not (results / "b.png").exists():
+        assert process.poll() is None
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    time.sleep(0.5)  # in the middle of c
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    assert process.returncode == -signal.SIGKILL
+    assert not any(name.startswith("c.") for name in names(results))
+    (results / ".c.0123456789ab.tmp.h5").write_bytes(b"half")  # what a kill while writing leaves
+    write_arm_video(videos / "c.mp4", 5)
+    ran = bendtrack("track", trained_project.root, videos)
+    assert ran.status == 0
+    assert ran.out.count(": up to date") >= 1
+    assert "c.mp4: 5 frames" in ran.out
+    assert names(results) == [f"{stem}.{kind}" for stem in "abc" for kind in ("csv", "h5", "json", "png")]

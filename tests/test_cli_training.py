@@ -1,0 +1,182 @@
+"""bendtrack train and evaluate: settings, names, what is written, going on after a stop."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+from safetensors.torch import load_file
+
+from bendtrack.models.training_state import STATE_FILE
+from bendtrack.tracker.project import Project
+
+FILES = {
+    "weights.safetensors",
+    "checkpoint.json",
+    "training-settings.json",
+    "training.csv",
+    "evaluation.json",
+    "learning-curve.png",
+    "errors.png",
+    "worst-frames.png",
+}
+
+
+def settings_of(folder: Path) -> dict[str, object]:
+    return json.loads((folder / "checkpoint.json").read_text())["training"]["settings"]
+
+
+def set_training(project: Project, **values: object) -> None:
+    """Put values into [training] of bendtrack.toml, in place of what is there."""
+    path = project.root / "bendtrack.toml"
+    head, rest = path.read_text().split("[training]\n")
+    kept = [line for line in rest.splitlines() if line.split(" =")[0] not in values]
+    lines = [f"{key} = {value}" for key, value in values.items()]
+    path.write_text("\n".join([f"{head}[training]", *lines, *kept]) + "\n")
+
+
+def test_a_trained_network_has_all_its_files(trained_project: Project) -> None:
+    assert {path.name for path in (trained_project.models_dir / "model").iterdir()} == FILES
+
+
+def test_options_go_before_the_file_and_that_before_the_defaults(bendtrack, project: Project) -> None:
+    set_training(project, seed=3, steps=1)
+    ran = bendtrack("train", project.root, "--name", "mine", "--seed", 4, "--init", "random")
+    assert (ran.status, ran.err) == (0, "")
+    settings = settings_of(project.models_dir / "mine")
+    assert (settings["seed"], settings["steps"], settings["held_out"]) == (4, 1, 0.2)
+    assert settings["backbone"] == "resnet18"
+    assert "Start: resnet18 with random weights" in ran.out
+    assert "1 steps in" in ran.out
+    assert "from random weights" in ran.out
+
+
+def test_a_network_starts_from_a_file_the_project_names(bendtrack, trained_project: Project) -> None:
+    # Its path counts from the project's folder, wherever the command is called.
+    set_training(trained_project, init='"models/model/weights.safetensors"')
+    ran = bendtrack("train", trained_project.root)
+    assert ran.status == 0
+    start = trained_project.models_dir / "model" / "weights.safetensors"
+    assert f"Start: resnet18 with {start} weights" in ran.out
+
+
+def test_names_are_counted_up_and_nothing_is_overwritten_unasked(bendtrack, trained_project: Project) -> None:
+    models = trained_project.models_dir
+    before = (models / "model" / "weights.safetensors").read_bytes()
+    assert bendtrack("train", trained_project.root, "--seed", 1).status == 0
+    assert sorted(path.name for path in models.iterdir()) == ["model", "model-2"]
+    taken = bendtrack("train", trained_project.root, "--name", "model")
+    assert taken.status == 2
+    assert "choose another, or --overwrite" in taken.err
+    assert (models / "model" / "weights.safetensors").read_bytes() == before
+    assert bendtrack("train", trained_project.root, "--name", "model", "--overwrite", "--seed", 2).status == 0
+    assert (models / "model" / "weights.safetensors").read_bytes() != before
+
+
+def test_the_newest_network_is_judged_or_the_one_named(bendtrack, trained_project: Project) -> None:
+    assert bendtrack("train", trained_project.root, "--name", "b").status == 0
+    assert "'b' on 2 frames" in bendtrack("evaluate", trained_project.root).out
+    ran = bendtrack("evaluate", trained_project.root, "--model", "model")
+    assert "'model' on 2 frames that it was not trained on" in ran.out
+    assert "bending angle" in ran.out
+    assert "L = 18 px apart" in ran.out
+    assert "Advice: L is short" in ran.out
+    figures = json.loads((trained_project.models_dir / "model" / "evaluation.json").read_text())
+    assert figures["n_frames"] == 2
+    missing = bendtrack("evaluate", trained_project.root, "--model", "c")
+    assert missing.status == 2
+    assert "--model: expected one of model, b, got 'c'" in missing.err
+
+
+def test_quiet_leaves_the_table(bendtrack, trained_project: Project) -> None:
+    ran = bendtrack("evaluate", trained_project.root, "--quiet")
+    assert ran.out.splitlines()[0].split() == ["n", "mean", "median", "95", "%", "max"]
+
+
+def test_folds_judge_every_frame_once(bendtrack, project: Project) -> None:
+    ran = bendtrack("evaluate", project.root, "--folds", 2)
+    assert (ran.status, ran.err) == (0, "")
+    folder = project.models_dir / "cross-validation"
+    figures = json.loads((folder / "evaluation.json").read_text())
+    assert (figures["n_frames"], figures["folds"], figures["n_trained"]) == (10, 2, 5)
+    assert len({frame["image"] for frame in figures["frames"]}) == 10
+    # It is no network.
+    assert "got none: run `bendtrack train` first" in bendtrack("evaluate", project.root).err
+    assert bendtrack("evaluate", project.root, "--folds", 11).status == 2
+    assert bendtrack("train", project.root, "--name", "cross-validation").status == 2
+
+
+def test_without_held_out_frames_there_is_nothing_to_judge(bendtrack, project: Project) -> None:
+    ran = bendtrack("train", project.root, "--held-out", 0)
+    assert ran.status == 0
+    assert "its error is not known" in ran.out
+    ran = bendtrack("evaluate", project.root)
+    assert ran.status == 2
+    assert "was not trained on, got none" in ran.err
+
+
+def start(bendtrack, *args: object) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [bendtrack.command, *map(str, args)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+
+def wait_for(path: Path, process: subprocess.Popen[str]) -> None:
+    end = time.monotonic() + 240
+    while not path.exists():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < end, f"{path} did not come"
+        time.sleep(0.005)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stop", [signal.SIGKILL, signal.SIGINT], ids=["killed", "interrupted"])
+def test_a_stopped_training_goes_on_as_if_it_had_not_stopped(bendtrack, project: Project, stop: int) -> None:
+    set_training(project, steps=70)
+    folder = project.models_dir / "model"
+    process = start(bendtrack, "train", project.root, "--seed", 6)
+    wait_for(folder / STATE_FILE, process)
+    process.send_signal(stop)
+    out, err = process.communicate()
+    if stop == signal.SIGINT:
+        assert process.returncode == 130
+        assert err.startswith("error: interrupted")
+        assert err.count("\n") == 1
+        assert "--resume` goes on with 'model'" in out
+    assert not (folder / "weights.safetensors").exists()
+
+    other = bendtrack("train", project.root, "--name", "model")
+    assert other.status == 2
+    assert "an unfinished training: go on with --resume" in other.err
+
+    # The seed was an option of the first call: it is remembered.
+    ran = bendtrack("train", project.root, "--resume")
+    assert ran.status == 0, ran.err
+    assert "Going on with 'model'" in ran.out
+    assert {path.name for path in folder.iterdir()} == FILES
+    assert settings_of(folder)["seed"] == 6
+
+    assert bendtrack("train", project.root, "--seed", 6, "--name", "unbroken").status == 0
+    rows = [line.split(",") for line in (folder / "training.csv").read_text().splitlines()]
+    assert [row[0] for row in rows] == ["step", "50", "70"]
+    weights, unbroken = (
+        load_file(path / "weights.safetensors") for path in (folder, project.models_dir / "unbroken")
+    )
+    assert all(weights[name].equal(unbroken[name]) for name in unbroken)
+
+
+def test_other_labels_do_not_fit_a_stopped_training(bendtrack, project: Project) -> None:
+    folder = project.models_dir / "model"
+    folder.mkdir(parents=True)
+    (folder / "training-settings.json").write_text("{}")
+    (folder / STATE_FILE).write_bytes(b"half")
+    ran = bendtrack("train", project.root, "--resume")
+    assert ran.status == 2
+    assert "expected a training state" in ran.err
+    assert "got a damaged file" in ran.err
+    (folder / "training-settings.json").write_text("{")
+    assert "expected training settings" in bendtrack("train", project.root, "--resume").err
