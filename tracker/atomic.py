@@ -12,6 +12,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+try:
+    import fcntl
+except ImportError:  # Windows, where a file that is open cannot be removed anyway
+    fcntl = None  # type: ignore[assignment]
+
 
 @contextmanager
 def atomic_path(path: str | Path) -> Iterator[Path]:
@@ -21,7 +26,8 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     choose their format by it). When the block ends well, the file and then its folder are flushed to disk
     around the rename, so a crash or a full disk leaves the old file or the new one. If the block raises, the
     temporary file is removed and `path` stays as it was. A process killed on the spot may leave the temporary
-    file behind; whoever lists a folder skips names that begin with a dot.
+    file behind; whoever lists a folder skips names that begin with a dot, and `remove_leftovers` tells it from
+    a file that is being written by the lock that is held on that.
 
     A symbolic link is followed: its target is replaced, the link stays.
 
@@ -31,8 +37,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         As it came (missing or read-only folder, full disk).
     """
     target = Path(os.path.realpath(path))
-    # The stem is cut so that the name stays under the usual 255 bytes.
-    temporary = target.with_name(f".{target.stem[:40]}.{secrets.token_hex(6)}.tmp{target.suffix}")
+    temporary, lock = _new_file(target)
     try:
         yield temporary
         _fsync_file(temporary)
@@ -41,17 +46,59 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
         raise
+    finally:
+        if lock is not None:
+            os.close(lock)
     _fsync_folder(target.parent)
 
 
 def remove_leftovers(folder: str | Path, stem: str | None = None) -> None:
     """Remove temporary files that killed writers left, of all files of a folder or of those with one stem.
 
-    Only for who is alone in writing them.
+    What another process is writing stays, and so does what cannot be known to be a leftover.
     """
     name = "*" if stem is None else glob.escape(stem[:40])
     for leftover in Path(folder).glob(f".{name}.{'[0-9a-f]' * 12}.tmp*"):
-        leftover.unlink(missing_ok=True)
+        with suppress(OSError):
+            descriptor = None if fcntl is None else _locked(leftover)
+            try:
+                leftover.unlink(missing_ok=True)
+            finally:
+                if descriptor is not None:
+                    os.close(descriptor)
+
+
+def _new_file(target: Path) -> tuple[Path, int | None]:
+    """An empty temporary file for `target`, and the descriptor that holds the lock on it."""
+    while True:
+        # The stem is cut so that the name stays under the usual 255 bytes.
+        path = target.with_name(f".{target.stem[:40]}.{secrets.token_hex(6)}.tmp{target.suffix}")
+        try:
+            os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        except OSError as error:  # in the name that the user knows
+            raise OSError(error.errno, error.strerror, str(target)) from error
+        if fcntl is None:
+            return path, None
+        try:
+            descriptor = _locked(path)
+        except (BlockingIOError, FileNotFoundError):
+            continue  # taken for a leftover before it was locked
+        except OSError:
+            return path, None  # a file system without locks
+        if path.exists():
+            return path, descriptor
+        os.close(descriptor)
+
+
+def _locked(path: Path) -> int:
+    """Open a file and lock it until the descriptor is closed or the process ends; OSError if another holds it."""
+    descriptor = os.open(path, os.O_RDWR)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(descriptor)
+        raise
+    return descriptor
 
 
 def atomic_write_text(path: str | Path, text: str) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from bendtrack.tracker.atomic import atomic_path, atomic_write_bytes, atomic_write_text
+from bendtrack.tracker.atomic import atomic_path, atomic_write_bytes, atomic_write_text, remove_leftovers
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals and limits")
 
@@ -72,8 +72,9 @@ def test_a_symbolic_link_stays_one(tmp_path: Path) -> None:
 
 
 def test_a_missing_folder_is_an_os_error(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError):
+    with pytest.raises(FileNotFoundError) as caught:
         atomic_write_text(tmp_path / "nowhere" / "a.txt", "x")
+    assert caught.value.filename == str(tmp_path / "nowhere" / "a.txt")  # not the temporary file's
 
 
 @posix
@@ -149,3 +150,41 @@ def test_a_killed_writer_leaves_one_whole_file(tmp_path: Path) -> None:
         text = target.read_text()
         assert len(text) == 300_000
         assert len(set(text)) == 1
+
+
+SLOW_WRITER = """
+import sys
+from pathlib import Path
+from bendtrack.tracker.atomic import atomic_path
+with atomic_path(sys.argv[1]) as temporary:
+    Path(temporary).write_text("half")  # opens and closes it, as every writer does
+    print("writing", flush=True)
+    sys.stdin.readline()
+    Path(temporary).write_text("whole")
+"""
+
+
+@posix
+def test_leftovers_go_and_what_another_process_is_writing_stays(tmp_path: Path) -> None:
+    def start(name: str) -> subprocess.Popen[str]:
+        command = [sys.executable, "-c", SLOW_WRITER, tmp_path / name]
+        pipe = subprocess.PIPE
+        writer = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True)
+        assert writer.stdout is not None
+        assert writer.stdout.readline() == "writing\n"
+        return writer
+
+    long = "x" * 40  # as much of a name as a temporary file's shows
+    killed, other, alive = start(f"{long}-1.csv"), start("other.csv"), start(f"{long}-2.csv")
+    for writer in (killed, other):
+        writer.kill()
+        writer.communicate()
+    assert len(list(tmp_path.iterdir())) == 3
+    remove_leftovers(tmp_path, f"{long}-1")
+    assert sorted(path.name[:3] for path in tmp_path.iterdir()) == [".ot", ".xx"]
+    alive.communicate("go on\n")
+    assert alive.returncode == 0
+    assert (tmp_path / f"{long}-2.csv").read_text() == "whole"
+    (tmp_path / ".mine.csv").touch()
+    remove_leftovers(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".mine.csv", f"{long}-2.csv"]
