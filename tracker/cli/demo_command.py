@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 _SAMPLE = ("video.mp4", "pressure.csv", "labels.csv", "truth.csv", "README.md")
 _LABEL_NOISE_PX = 1.0
-_MAX_MINUTES = 4.0
+_MAX_MINUTES = 3.5
 """For the training on a slow machine; the sample's thirty labels need about two on two cores."""
 
 
