@@ -1,13 +1,18 @@
-"""From what the network says of its spread to a covariance of the position that can be believed.
+"""From what the network says of itself to covariances and likelihoods that can be believed.
 
 A position is uncertain for two reasons. The network finds a keypoint a little elsewhere in every frame: that is what
 its spread head has learnt. And all it knows comes from n labels that are each off by a person's error: however steady
 it is, the mark it has learnt is known to label_sd / sqrt(n) only.
+
+A heatmap's peak, too, means little by itself: one keypoint's stays at 0.5 where another's reaches 0.9, and both grow
+with training. Compared with the peaks in the labelled frames, where the keypoint is known to be, it says how much of
+the usual sight of it there is.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -16,10 +21,13 @@ from ..tracker.types import Detections, FloatArray
 MEDIAN_CHI2 = float(np.log(4.0))
 """Median squared Mahalanobis distance of a two-dimensional Gaussian."""
 
+LEAST_PEAK = 0.2
+"""A network whose peaks are usually lower has not learnt the keypoint: its likelihoods are not raised further."""
+
 
 @dataclass(frozen=True)
 class Calibration:
-    """Covariance = scale * spread + label_sd_px**2 / n_labels.
+    """Covariance = scale * spread + label_sd_px**2 / n_labels; likelihood = peak / usual peak, at most 1.
 
     Attributes
     ----------
@@ -27,15 +35,24 @@ class Calibration:
         than spread, labelling error and chance explain
     label_sd_px : a label's own error, standard deviation of x and of y, from the trained frames' residuals
     n_labels : labels that a keypoint was learnt from
+    usual_peak : for each keypoint, the median peak in labelled frames
     """
 
     scale: float = 1.0
     label_sd_px: float = 0.0
     n_labels: int = 1
+    usual_peak: tuple[float, ...] = ()
 
-    def apply(self, covariance: FloatArray) -> FloatArray:
-        """Covariances (..., 2, 2) px^2 of positions from the network's own."""
-        return covariance * self.scale + np.eye(2) * (self.label_sd_px**2 / self.n_labels)
+    def apply(self, found: Detections) -> Detections:
+        """Detections with calibrated likelihoods and covariances from the network's own."""
+        covariance = found.covariance * self.scale + np.eye(2) * (self.label_sd_px**2 / self.n_labels)
+        usual = np.maximum(self.usual_peak, LEAST_PEAK) if self.usual_peak else 1.0
+        return replace(found, covariance=covariance, likelihood=np.minimum(found.likelihood / usual, 1.0))
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> Calibration:
+        """What `dataclasses.asdict` made, also after a way through JSON."""
+        return cls(**{**values, "usual_peak": tuple(values["usual_peak"])})
 
 
 def calibrate(
@@ -46,11 +63,16 @@ def calibrate(
     Medians throughout: one label on the wrong spot must not make every frame uncertain.
     """
     residual = trained.xy - trained_labels
-    residual = residual[~np.isnan(residual).any(axis=2)]
+    known = ~np.isnan(residual).any(axis=2)
+    residual = residual[known]
+    peak = tuple(
+        float(np.median(own[seen])) if seen.any() else 1.0
+        for own, seen in zip(trained.likelihood.T, known.T, strict=True)
+    )
     n = int(max(1, np.median((~np.isnan(trained_labels).any(axis=2)).sum(axis=0))))
     label_sd = float(np.sqrt(np.median((residual**2).sum(axis=1)) / MEDIAN_CHI2))
     if held is None or held_labels is None:
-        return Calibration(1.0, label_sd, n)
+        return Calibration(1.0, label_sd, n, peak)
     off = held.xy - held_labels
     seen = ~np.isnan(off).any(axis=2)
     off, own = off[seen], held.covariance[seen]
@@ -63,9 +85,9 @@ def calibrate(
     # (two standard errors of the median, 2 / sqrt(n) each) says that the spread is too small.
     chance = MEDIAN_CHI2 + 2 * 2 / np.sqrt(max(len(off), 1))
     if not len(off) or distance2(1.0) <= chance:
-        return Calibration(1.0, label_sd, n)
+        return Calibration(1.0, label_sd, n, peak)
     low, high = 1.0, 1e4
     for _ in range(60):
         middle = float(np.sqrt(low * high))
         low, high = (middle, high) if distance2(middle) > MEDIAN_CHI2 else (low, middle)
-    return Calibration(high, label_sd, n)
+    return Calibration(high, label_sd, n, peak)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -63,10 +63,9 @@ class Checkpoint:
         return self.regions[0].for_frame(frame_wh)
 
     def detect(self, frames: Sequence[ImageArray] | ImageArray) -> Detections:
-        """Keypoints of RGB frames of one size (N, H, W, 3) uint8, with calibrated covariances."""
+        """Keypoints of RGB frames of one size (N, H, W, 3) uint8, calibrated."""
         h, w = frames[0].shape[:2]
-        found = self.network.detect(frames, self.region_for((w, h)), self.partner)
-        return replace(found, covariance=self.calibration.apply(found.covariance))
+        return self.calibration.apply(self.network.detect(frames, self.region_for((w, h)), self.partner))
 
     def header(self) -> dict[str, Any]:
         """All but the weights, JSON-ready."""
@@ -82,7 +81,7 @@ class Checkpoint:
             },
             "regions": [region.to_dict() for region in self.regions],
             "partner": list(self.partner),
-            "calibration": asdict(self.calibration),
+            "calibration": {**asdict(self.calibration), "usual_peak": list(self.calibration.usual_peak)},
             "training": dict(self.training),
         }
 
@@ -134,7 +133,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
             definition=AngleDefinition(angle["definition"], tuple(angle["points"]), angle["sign"]),
             regions=tuple(WorkingRegion.from_dict(r) for r in header["regions"]),
             partner=tuple(header["partner"]),
-            calibration=Calibration(**header["calibration"]),
+            calibration=Calibration.from_dict(header["calibration"]),
             training=header["training"],
         )
     except BendtrackError:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -21,6 +23,12 @@ def simulated(
     return Detections(found, np.ones((n, 4)), covariance), labels, truth
 
 
+def said_sd(calibration: Calibration, own_sd: float) -> float:
+    """Standard deviation along x that is said of a position whose own spread is `own_sd`."""
+    one = Detections(np.zeros((1, 1, 2)), np.ones((1, 1)), np.eye(2)[None, None] * own_sd**2)
+    return float(np.sqrt(replace(calibration, usual_peak=()).apply(one).covariance[0, 0, 0, 0]))
+
+
 def test_label_error_is_told_from_the_networks() -> None:
     trained, labels, _ = simulated(27, 0.2, 1.0, 0.2, seed=1)
     held, held_labels, _ = simulated(3, 0.2, 1.0, 0.2, seed=2)
@@ -28,16 +36,14 @@ def test_label_error_is_told_from_the_networks() -> None:
     assert found.label_sd_px == pytest.approx(1.0, rel=0.2)
     assert found.n_labels == 27
     # Not the click's own pixel: what thirty clicks leave, and the network's.
-    assert np.sqrt(found.apply(np.eye(2) * 0.2**2)[0, 0]) == pytest.approx(
-        np.hypot(0.2, 1 / np.sqrt(27)), rel=0.15
-    )
+    assert said_sd(found, 0.2) == pytest.approx(np.hypot(0.2, 1 / np.sqrt(27)), rel=0.15)
 
 
 def test_a_network_that_says_too_little_is_corrected_by_held_out_labels() -> None:
     trained, labels, _ = simulated(60, 0.3, 0.5, 0.1, seed=3)
     held, held_labels, _ = simulated(200, 4.0, 0.5, 0.1, seed=4)
     found = calibrate(trained, labels, held, held_labels)
-    assert np.sqrt(found.apply(np.eye(2) * 0.1**2)[0, 0]) == pytest.approx(4.0, rel=0.15)
+    assert said_sd(found, 0.1) == pytest.approx(4.0, rel=0.15)
 
 
 def test_chance_in_few_held_out_labels_is_not_taken_for_a_bad_network() -> None:
@@ -62,4 +68,14 @@ def test_missing_labels_are_left_out() -> None:
     labels[:10, 2] = np.nan
     found = calibrate(trained, labels, None, None)
     assert np.isfinite(found.label_sd_px)
-    assert Calibration().apply(np.eye(2)).tolist() == np.eye(2).tolist()
+
+
+def test_likelihood_is_the_share_of_the_usual_peak() -> None:
+    trained, labels, _ = simulated(20, 0.2, 1.0, 0.2, seed=7)
+    peaks = np.broadcast_to([0.5, 0.9, 0.8, 0.05], (20, 4)).copy()
+    peaks[0] = 0.01
+    found = calibrate(replace(trained, likelihood=peaks), labels, None, None)
+    seen = found.apply(replace(trained, likelihood=np.full((20, 4), 0.4))).likelihood[0]
+    np.testing.assert_allclose(seen, [0.8, 0.4 / 0.9, 0.5, 1.0])
+    unlearnt = found.apply(replace(trained, likelihood=peaks)).likelihood[1, 3]
+    assert unlearnt == pytest.approx(0.25), "a keypoint that is never seen well is never likely"

@@ -35,7 +35,7 @@ def checkpoint() -> Checkpoint:
             WorkingRegion((320, 240), 20, 40, 200, 180, 0.5, 0.75),
         ),
         partner=(1, 0, 3, 2, 0),
-        calibration=Calibration(1.5, 0.9, 27),
+        calibration=Calibration(1.5, 0.9, 27, (0.8, 0.9, 0.7, 0.6, 1.0)),
         training={"trained_on": ["v/img00001.png"], "started_from": "random"},
     )
 
