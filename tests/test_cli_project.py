@@ -57,7 +57,7 @@ def test_render_gives_a_trial_and_labels_that_import_takes(bendtrack, tmp_path: 
     assert (ran.status, ran.err) == (0, "")
     truth = read_trial(trial)
     assert len(truth.time_s) == 13
-    ran = bendtrack("import", tmp_path / "p", trial / "labels.csv", "--video", trial / "video.mp4")
+    ran = bendtrack("import", tmp_path / "p", trial / "labels.csv", "--video", truth.video_path)
     assert (ran.status, ran.err) == (0, "")
     frames = LabelStore.of(Project.open(tmp_path / "p")).read()
     assert len(frames) == 5

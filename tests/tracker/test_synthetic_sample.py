@@ -1,13 +1,18 @@
 """The shipped sample is what its README says and what the renderer would make again from its settings."""
 
 import csv
+import json
+import re
+import shlex
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from bendtrack.tracker.synthetic.geometry import Midline
-from bendtrack.tracker.synthetic.response import HystereticResponse
+from bendtrack.tracker.synthetic.render import Renderer
+from bendtrack.tracker.synthetic.response import HystereticResponse, triangle_kpa
+from bendtrack.tracker.synthetic.sampling import random_look
 from bendtrack.tracker.synthetic.trial import labelled_sample, read_trial
 from bendtrack.tracker.video import Video
 
@@ -27,6 +32,30 @@ def test_truth_follows_from_the_settings(trial):
         line = Midline(body, trial.look.pose, trial.angle_deg[index])
         xy = line.point(np.array(body.keypoint_s), body.keypoint_t)
         np.testing.assert_allclose(xy, trial.xy[index], atol=1e-3)
+
+
+def test_the_readme_names_the_command_that_made_it(trial):
+    """Rendering all of it again would take half a minute; its settings, look, log and a frame tell as much."""
+    command = re.search(r"^    bendtrack render .*$", (SAMPLE / "README.md").read_text(), re.MULTILINE)
+    assert command is not None
+    _, _, folder, *options = shlex.split(command[0])
+    given = {
+        name[2:].replace("-", "_"): float(value)
+        for name, value in zip(options[::2], options[1::2], strict=True)
+    }
+    settings = json.loads(trial.settings_path.read_text())
+    end_vector_px, labels = given.pop("end_vector_px"), given.pop("labels")
+    assert (folder + ".mp4", labels) == (trial.video_path.name, 30)
+    assert {name: settings[name] for name in given} == given
+    assert trial.look == random_look(386, end_vector_px=end_vector_px, angle_range_deg=(-20.0, 220.0))
+
+    log = np.loadtxt(trial.pressure_path, delimiter=",", skiprows=1)
+    noise_kpa = settings["pressure_noise_kpa"] * np.random.default_rng([386, 12]).standard_normal(len(log))
+    np.testing.assert_allclose(log[:, 1], triangle_kpa(log[:, 0], 50.0, 0.15) + noise_kpa, atol=6e-4)
+    with Video(trial.video_path) as video:
+        shown = next(frame.image for frame in video if frame.index == 30)
+    drawn = Renderer(trial.look).frame(trial.angle_deg[30], trial.pressure_kpa[30] / 50.0).image
+    assert np.abs(shown.astype(float) - drawn).mean() < 4
 
 
 def test_video_has_a_frame_for_every_row(trial):

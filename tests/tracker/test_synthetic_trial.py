@@ -16,7 +16,7 @@ SMALL = {"size_wh": (320, 240), "end_vector_px": 25.0}
 @pytest.fixture(scope="module")
 def trial(tmp_path_factory):
     return render_trial(
-        tmp_path_factory.mktemp("trial"),
+        tmp_path_factory.mktemp("trial") / "rig, 2 Hz",
         seed=2,
         frequency_hz=0.5,
         cycles=2,
@@ -55,7 +55,7 @@ def test_files_agree_with_each_other(trial):
     assert settings["hysteresis_ratio"] == 0.2
     assert settings["frames"] == len(truth)
     assert sorted(path.name for path in trial.folder.iterdir()) == [
-        "pressure.csv", "trial.json", "truth.csv", "video.mp4",
+        "pressure.csv", "rig, 2 Hz.mp4", "trial.json", "truth.csv",
     ]  # fmt: skip
 
 
@@ -92,6 +92,7 @@ def test_video_shows_the_truth(trial):
 
 def test_read_back(trial):
     again = read_trial(trial.folder)
+    assert again.video_path == trial.video_path
     assert again.look == trial.look
     assert again.keypoints == trial.keypoints
     assert again.hysteresis_ratio == trial.hysteresis_ratio
@@ -129,7 +130,7 @@ def test_labels_on_disk(trial, tmp_path):
     with (tmp_path / "labels.csv").open(newline="") as file:
         rows = list(csv.reader(file))
     assert rows[1][3:] == ["base_1", "base_1", "base_2", "base_2", "tip_1", "tip_1", "tip_2", "tip_2"]
-    assert rows[3][:3] == ["labeled-data", "video", f"img{frames[0]:05d}.png"]
+    assert rows[3][:3] == ["labeled-data", "rig, 2 Hz", f"img{frames[0]:05d}.png"]
     np.testing.assert_allclose(np.array([row[3:] for row in rows[3:]], float).reshape(4, 4, 2), xy, atol=1e-4)
 
 
@@ -153,11 +154,25 @@ def test_staircase_holds_its_levels(tmp_path):
 
 def test_the_same_seed_makes_the_same_trial(tmp_path):
     short = {"seed": 6, "frequency_hz": 2.0, "cycles": 1, "frame_rate": 10.0, **SMALL}
-    first, again = render_trial(tmp_path / "a", **short), render_trial(tmp_path / "b", **short)
-    for name in ("truth.csv", "pressure.csv", "trial.json", "video.mp4"):
+    first, again = (
+        render_trial(tmp_path / "a" / "same", **short),
+        render_trial(tmp_path / "b" / "same", **short),
+    )
+    for name in ("truth.csv", "pressure.csv", "trial.json", "same.mp4"):
         assert (first.folder / name).read_bytes() == (again.folder / name).read_bytes()
     other = render_trial(tmp_path / "c", **{**short, "seed": 7})
     assert other.look != first.look
+
+
+def test_the_video_is_named_after_its_folder(tmp_path, monkeypatch):
+    short = {"seed": 6, "frequency_hz": 5.0, "cycles": 1, "frame_rate": 10.0, **SMALL}
+    (tmp_path / ".trial 1.5 Hz").mkdir()
+    monkeypatch.chdir(tmp_path / ".trial 1.5 Hz")
+    trial = render_trial(".", **short)
+    assert trial.video_path.is_file()
+    assert trial.video_path.name == "trial 1.5 Hz.mp4"  # a dot in front would hide it
+    moved = (tmp_path / ".trial 1.5 Hz").rename(tmp_path / "elsewhere")
+    assert read_trial(moved).video_path == moved / "trial 1.5 Hz.mp4"
 
 
 def test_wrong_settings_leave_nothing_behind(tmp_path):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -32,6 +34,7 @@ class Trial:
     Attributes
     ----------
     folder : holds `video_path`, `pressure_path`, `truth_path` and `settings_path`
+    video_name : file name of the video
     look : how it looks
     keypoints : names, the order of `xy`
     time_s, pressure_kpa, angle_deg : (T,) exact, one for every frame of the video
@@ -40,6 +43,7 @@ class Trial:
     """
 
     folder: Path
+    video_name: str
     look: Look
     keypoints: tuple[str, ...]
     time_s: FloatArray
@@ -50,7 +54,7 @@ class Trial:
 
     @property
     def video_path(self) -> Path:
-        return self.folder / "video.mp4"
+        return self.folder / self.video_name
 
     @property
     def pressure_path(self) -> Path:
@@ -86,9 +90,10 @@ def render_trial(
 ) -> Trial:
     """Render a trial and write it.
 
-    Writes `video.mp4`; `pressure.csv` (time_s, pressure_kpa at 400 Hz, with a little sensor noise);
-    `truth.csv` (frame, time_s, pressure_kpa, angle_deg, <keypoint>_x, <keypoint>_y, exact); `trial.json`.
-    Each file is written whole or not at all, `trial.json` last. Frames are not kept in memory.
+    Writes `<name of the folder>.mp4`, so that several trials go into one project; `pressure.csv` (time_s,
+    pressure_kpa at 400 Hz, with a little sensor noise); `truth.csv` (frame, time_s, pressure_kpa, angle_deg,
+    <keypoint>_x, <keypoint>_y, exact); `trial.json`. Each file is written whole or not at all,
+    `trial.json` last. Frames are not kept in memory.
 
     Parameters
     ----------
@@ -136,9 +141,11 @@ def render_trial(
     gain = exposure_gain(look.camera, time_s, np.random.default_rng([seed, 10]))
     folder = Path(out_dir)
     folder.mkdir(parents=True, exist_ok=True)
+    # A name that begins with a dot would be passed over wherever videos are listed.
+    video_name = f"{folder.resolve().name.lstrip('.') or 'trial'}.mp4"
     renderer, rng = Renderer(look), np.random.default_rng([seed, 11])
     xy = np.empty((len(time_s), len(KEYPOINTS), 2))
-    trial = Trial(folder, look, KEYPOINTS, time_s, pressure_kpa, angle_deg, xy, hysteresis_ratio)
+    trial = Trial(folder, video_name, look, KEYPOINTS, time_s, pressure_kpa, angle_deg, xy, hysteresis_ratio)
     with VideoWriter(trial.video_path, look.size_wh, frame_rate) as writer:
         for index, angle in enumerate(angle_deg):
             relative = float(pressure_kpa[index] / pressure_peak_kpa)
@@ -154,6 +161,7 @@ def render_trial(
     atomic_write_text(trial.truth_path, _truth_csv(trial))
     settings = {
         "made_by": f"bendtrack {version('bendtrack')}",
+        "video": video_name,
         "seed": seed,
         "wave": wave,
         "frequency_hz": frequency_hz if wave == "triangle" else None,
@@ -216,15 +224,15 @@ def write_labels(
     The pictures themselves are the decoded frames of the video; whoever imports the labels extracts them.
     """
     columns = [(keypoint, axis) for keypoint in trial.keypoints for axis in "xy"]
-    lines = [
-        ",".join(["scorer", "", "", *([scorer] * len(columns))]),
-        ",".join(["bodyparts", "", "", *(keypoint for keypoint, _ in columns)]),
-        ",".join(["coords", "", "", *(axis for _, axis in columns)]),
-    ]
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(["scorer", "", "", *([scorer] * len(columns))])
+    table.writerow(["bodyparts", "", "", *(keypoint for keypoint, _ in columns)])
+    table.writerow(["coords", "", "", *(axis for _, axis in columns)])
     for frame, points in zip(frames, xy, strict=True):
         image = ["labeled-data", trial.video_path.stem, f"img{frame:05d}.png"]
-        lines.append(",".join([*image, *(f"{value:.4f}" for value in points.ravel())]))
-    atomic_write_text(path, "\n".join(lines) + "\n")
+        table.writerow([*image, *(f"{value:.4f}" for value in points.ravel())])
+    atomic_write_text(path, text.getvalue())
 
 
 def read_trial(folder: str | Path) -> Trial:
@@ -242,6 +250,7 @@ def read_trial(folder: str | Path) -> Trial:
         look = Look.from_dict(settings["look"])
         return Trial(
             folder=folder,
+            video_name=settings["video"],
             look=look,
             keypoints=tuple(settings["keypoints"]),
             time_s=rows[:, 1],
