@@ -123,10 +123,12 @@ def _compare(table: AngleTable, truth_path: Path, network: Path) -> None:
     known = np.isfinite(error)
     rms = float(np.sqrt(np.mean(error[known] ** 2)))
     assert table.definition is not None
+    columns = [f"{keypoint}_{axis}" for keypoint in table.keypoints for axis in "xy"]
+    exact = truth[columns].to_numpy().reshape(len(truth), -1, 2)
     floor = label_noise_floor_deg(
         _LABEL_NOISE_PX,
         len(load_checkpoint(network).training["trained_on"]),
-        end_vector_px(table.xy, table.keypoints, table.definition),
+        end_vector_px(exact, table.keypoints, table.definition),
     )
     angle = truth["angle_deg"]
     talk.show(
