@@ -31,8 +31,8 @@ def arc_angle(points: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     Parameters
     ----------
-    points : (T, k, 2) px, k >= 3, finite, neighbours distinct, in order along the arc with less than 180
-        degrees between neighbours
+    points : (T, k, 2) px, k >= 3, finite, neighbours distinct, in order along an arc of less than 360
+        degrees, with less than 270 between neighbours
 
     Returns
     -------
@@ -105,7 +105,11 @@ def _angle_and_gradient(points: FloatArray, parameters: FloatArray) -> tuple[Flo
     inward = normal - curvature[..., None] * u  # normal at each point's foot, not of unit length
     before, after = inward[:, :-1], inward[:, 1:]
     cross = before[..., 0] * after[..., 1] - before[..., 1] * after[..., 0]
-    angle = np.arctan2(cross, (before * after).sum(axis=-1)).sum(axis=1)
+    steps = np.arctan2(cross, (before * after).sum(axis=-1))
+    # Neighbours more than 180 degrees apart: the circle is run through in one direction, the curvature's. A
+    # misplaced point may lie a little behind its neighbour; half of the way round is no such thing.
+    behind = (steps * curvature < 0) & (np.abs(steps) > np.pi / 2)
+    angle = (steps + np.where(behind, 2 * np.pi * np.sign(curvature), 0.0)).sum(axis=1)
 
     # Direct part: how the tangent at the first and last point answers to the point and to the parameters.
     turned = np.stack([-inward[..., 1], inward[..., 0]], axis=-1) / (inward**2).sum(axis=-1, keepdims=True)

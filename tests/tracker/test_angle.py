@@ -123,6 +123,12 @@ def test_arc_fit_of_an_arc_is_its_whole_turn(count: int) -> None:
     )
 
 
+@pytest.mark.parametrize("places", [(0, 2, 38, 40), (0, 4, 40), (0, 36, 40)])
+def test_arc_fit_knows_the_way_round_when_neighbours_are_half_a_circle_apart(places: tuple[int, ...]) -> None:
+    xy = arc_points(BENDS_DEG, 41)[:, list(places)]
+    np.testing.assert_allclose(angle_of(xy, names(len(places)), "arc-fit"), BENDS_DEG, atol=1e-3)
+
+
 def test_arc_fit_of_a_straight_finger_is_zero_and_smooth_around_it() -> None:
     straight = np.stack([np.linspace(0, 200, 6), np.linspace(50, 80, 6)], axis=1)[None]
     angle, sd, _ = bending_angle(
