@@ -5,6 +5,7 @@ Knows no network: any `types.Detector` will do. Decoding is in `video.py`, the a
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Generator
 from contextlib import closing
 from dataclasses import asdict, dataclass, field
@@ -119,7 +120,8 @@ def track(
     provenance = {
         "bendtrack": version("bendtrack"),
         "video": {
-            "name": source.path.name,
+            # Linux allows names that are no text: what is not becomes a question mark.
+            "name": os.fsencode(source.path.name).decode("utf-8", "replace"),
             "sha256": video_sha256 or file_sha256(source.path),
             "size_wh": source.size_wh,
             "rotation_deg": source.rotation_deg,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import random
 import signal
 import subprocess
@@ -20,7 +21,7 @@ from bendtrack.tracker.errors import AngleError, VideoError
 from bendtrack.tracker.results import read_results, write_results
 from bendtrack.tracker.tracking import track, tracking_settings
 from bendtrack.tracker.types import Detections
-from bendtrack.tracker.video import file_sha256
+from bendtrack.tracker.video import file_sha256, video_stem
 
 NAMES = ("base_1", "base_2", "tip_1", "tip_2")
 DEFINITION = AngleDefinition("two-vector", NAMES)
@@ -144,6 +145,18 @@ def test_wrong_keypoint_and_wrong_video_are_one_line(arm_video, film, tmp_path):
         track(arm_video, film.DiscDetector(), AngleDefinition("three-point", ("base_1", "middle", "tip_1")))
     with pytest.raises(VideoError, match="no such file"):
         track(tmp_path / "none.mp4", film.DiscDetector(), DEFINITION)
+
+
+def test_a_name_that_is_no_text_does_not_stop_anything(arm_video, film, tmp_path):
+    path = Path(os.fsdecode(os.fsencode(tmp_path) + b"/gr\xf6\xdfe.mp4"))
+    try:
+        path.write_bytes(arm_video.read_bytes())
+    except OSError:
+        pytest.skip("this file system takes only UTF-8")
+    table = track(path, film.DiscDetector(), DEFINITION)
+    csv_path, _, json_path = write_results(table, tmp_path / "results", video_stem(path))
+    assert csv_path.stem == path.stem
+    assert read_results(json_path).provenance["video"]["name"] == "gr\ufffd\ufffde.mp4"
 
 
 def test_failing_detector_stops_decoding_at_once(arm_video, film):

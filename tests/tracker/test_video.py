@@ -97,21 +97,31 @@ def test_variable_frame_rate_keeps_its_odd_times(tmp_path, film, arm_images):
         np.testing.assert_allclose(found, times_s - times_s[0], atol=1.1e-3 if name.endswith("mkv") else 2e-5)
 
 
-def test_frames_before_an_edit_list_are_not_shown(tmp_path, arm_video, film):
-    """A phone's trimmed clip: the file holds frames that no player shows. They have no rows."""
-    path = tmp_path / "trimmed.mp4"
+def trim(path, arm_video, n_frames):
+    """Write the video with an edit list that begins after some frames."""
     with av.open(str(arm_video)) as source, av.open(str(path), "w") as target:
         stream = target.add_stream_from_template(source.streams.video[0])
-        step = int(1 / 30 / source.streams.video[0].time_base)
+        shift = n_frames * int(1 / 30 / source.streams.video[0].time_base)
         for packet in source.demux(video=0):
             if packet.size:
-                packet.pts, packet.dts, packet.stream = packet.pts - 5 * step, packet.dts - 5 * step, stream
+                packet.pts, packet.dts, packet.stream = packet.pts - shift, packet.dts - shift, stream
                 target.mux(packet)
-    video = Video(path)
+    return path
+
+
+def test_frames_before_an_edit_list_are_not_shown(tmp_path, arm_video, film):
+    """A phone's trimmed clip: the file holds frames that no player shows. They have no rows."""
+    video = Video(trim(tmp_path / "trimmed.mp4", arm_video, 5))
     frames = list(video)
     assert [film.frame_number(frame.image) for frame in frames] == list(range(5, FRAMES))
     assert frames[0].time_s == 0
     assert video.warnings == []
+
+
+def test_a_file_whose_frames_are_all_hidden_is_refused(tmp_path, arm_video):
+    path = trim(tmp_path / "all.mp4", arm_video, FRAMES + 5)
+    with pytest.raises(VideoError, match="holds no frame that can be decoded"):
+        list(Video(path))
 
 
 def test_stream_without_times_says_so(tmp_path, arm_images, film):
