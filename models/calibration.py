@@ -63,7 +63,7 @@ def calibrate(
     Medians throughout: one label on the wrong spot must not make every frame uncertain.
     """
     residual = trained.xy - trained_labels
-    known = ~np.isnan(residual).any(axis=2)
+    known = np.logical_not(np.isnan(residual[..., 0]))
     residual = residual[known]
     peak = tuple(
         float(np.median(own[seen])) if seen.any() else 1.0

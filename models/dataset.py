@@ -139,6 +139,9 @@ def refiner_batch(
         for k in np.flatnonzero(labelled).tolist():
             zoom = frame.region.magnification
             turn = patch_direction(points, k, partner) + np.deg2rad(rng.normal(0, PATCH_TURN_DEG))
+            if not labelled[partner[k]]:
+                # In a video the partner is always located somewhere: a patch without it may come in any attitude.
+                turn = rng.uniform(-np.pi, np.pi)
             shift = np.clip(rng.normal(0, PATCH_SHIFT_PX, size=2), -16, 16) / zoom
             view = patch_view(points[k] + shift, zoom * np.exp(rng.normal(0, 0.06)), turn)
             picture, mask = augment.occlude(view.cut(frame.fine), rng, share=0.2)

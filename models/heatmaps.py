@@ -21,6 +21,10 @@ VOTE_RADIUS_CELLS = 2
 """Cells to each side of the peak that vote, and within whose reach offsets are trained."""
 
 
+_FAR_DISTANCE2 = 50.0
+"""Squared Mahalanobis distance beyond which a residual's cost grows linearly."""
+
+
 class Decoded(NamedTuple):
     """Positions read from maps. xy (N, K, 2) input px, likelihood (N, K), covariance (N, K, 2, 2) px^2."""
 
@@ -85,8 +89,11 @@ def _gaussian_nll(residual: Tensor, spread: Tensor) -> Tensor:
     log_sx, log_sy, rho = _spread_parts(spread)
     zx, zy = residual[:, :, 0] * torch.exp(-log_sx), residual[:, :, 1] * torch.exp(-log_sy)
     one = 1 - rho**2
-    # A residual of many sd early in training must not blow the step up.
-    mahalanobis = ((zx**2 - 2 * rho * zx * zy + zy**2) / one).clamp(max=50.0)
+    mahalanobis = (zx**2 - 2 * rho * zx * zy + zy**2) / one
+    # A residual of many sd early in training must not blow the step up: beyond the limit the cost grows with the
+    # distance, no longer with its square. It must go on growing, or the spread would shrink where it is most wrong.
+    far = 2 * (_FAR_DISTANCE2 * mahalanobis.clamp(min=_FAR_DISTANCE2)).sqrt() - _FAR_DISTANCE2
+    mahalanobis = torch.where(mahalanobis < _FAR_DISTANCE2, mahalanobis, far)
     return 0.5 * mahalanobis + log_sx + log_sy + 0.5 * torch.log(one)
 
 

@@ -6,6 +6,7 @@ network looks is in `regions.py`. Normalisation lives here, as buffers: the inpu
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import torch
@@ -54,6 +55,7 @@ class HeatmapNetwork(nn.Module):
 
     mean: Tensor
     std: Tensor
+    cell_spread: Tensor
 
     def __init__(self, backbone: str, stages: int, n_keypoints: int, width: int = 64) -> None:
         super().__init__()
@@ -78,6 +80,8 @@ class HeatmapNetwork(nn.Module):
         bias[:n_keypoints] = _EMPTY_CELL_LOGIT
         self.head.bias = nn.Parameter(bias)
         self.register_buffer("mean", torch.tensor(IMAGENET_MEAN).view(1, 3, 1, 1) * 255, persistent=False)
+        cell = torch.tensor([math.log(STRIDE), math.log(STRIDE), 0.0]).view(1, 1, 3, 1, 1)
+        self.register_buffer("cell_spread", cell, persistent=False)
         self.register_buffer("std", torch.tensor(IMAGENET_STD).view(1, 3, 1, 1) * 255, persistent=False)
 
     def forward(self, images: Tensor) -> Maps:
@@ -100,5 +104,5 @@ class HeatmapNetwork(nn.Module):
         return Maps(
             heat=maps[:, :k],
             offset=maps[:, k : 3 * k].reshape(n, k, 2, h, w) * STRIDE,
-            spread=maps[:, 3 * k :].reshape(n, k, 3, h, w),
+            spread=maps[:, 3 * k :].reshape(n, k, 3, h, w) + self.cell_spread,
         )

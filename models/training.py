@@ -44,6 +44,9 @@ CONSENSUS_FROM = 0.3
 CONSENSUS_REACH = 4.0
 """A prediction further than this from its label, in median distances, is not believed: perhaps another keypoint."""
 
+CONSENSUS_LIMIT_PATCH_PX = 6.0
+"""Nor is one further than this, in px of the refiner's patches: no label is so far off, the network is."""
+
 SPREAD_WEIGHT = 0.1
 """The spread head only describes; it must not steer the features."""
 
@@ -305,10 +308,10 @@ class _Trainer:
                 self.best = {n: v.clone() for n, v in self.average.state_dict().items()}
                 self.best_step = self.step
         if self.settings.consensus and self.step >= CONSENSUS_FROM * self.schedule.total:
+            limits = [CONSENSUS_LIMIT_PATCH_PX / self.prepared[i].region.refiner_scale for i in self.trained]
+            found = self._detect(self.average, self.trained).xy
             self.targets[self.trained] = consensus(
-                self.labels[self.trained],
-                self._detect(self.average, self.trained).xy,
-                self.settings.consensus,
+                self.labels[self.trained], found, self.settings.consensus, np.array(limits)
             )
         self.rows.append(
             {
@@ -394,15 +397,16 @@ class _Trainer:
             self.last_px, self.last_deg = self.rows[-1]["held_out_px"], self.rows[-1]["held_out_deg"]
 
 
-def consensus(labels: FloatArray, found: FloatArray, share: float) -> FloatArray:
+def consensus(labels: FloatArray, found: FloatArray, share: float, limit_px: FloatArray) -> FloatArray:
     """Labels moved by `share` toward what a network finds, where it agrees with them.
 
-    labels, found : (N, K, 2) px. A distance beyond `CONSENSUS_REACH` times the keypoint's median leaves the label.
+    labels, found : (N, K, 2) px. A distance beyond `CONSENSUS_REACH` times the keypoint's median, or beyond
+    `limit_px` (N,), leaves the label as it is.
     """
     distance = np.linalg.norm(found - labels, axis=2)
     with np.errstate(invalid="ignore"):
         reach = CONSENSUS_REACH * np.array([_median(distance[:, k]) for k in range(labels.shape[1])])
-        near = distance <= reach
+        near = distance <= np.minimum(reach, limit_px[:, None])
     return np.where(near[..., None], labels + share * (found - labels), labels)
 
 

@@ -86,4 +86,6 @@ def test_spread_loss_is_least_at_the_residuals_own_size() -> None:
     off = 1.2
     costs = {sd: loss(perfect(xy, sd_px=sd), xy + np.array([off, 0.0]))["spread"] for sd in (0.3, 0.85, 3.0)}
     assert costs[0.85] < costs[0.3]
+    # However far off, claiming less spread never pays.
+    assert loss(perfect(xy, sd_px=0.1), xy + 5.0)["spread"] > loss(perfect(xy, sd_px=0.3), xy + 5.0)["spread"]
     assert costs[0.85] < costs[3.0]

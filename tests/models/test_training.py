@@ -195,10 +195,12 @@ def test_consensus_follows_the_network_but_not_to_another_keypoint() -> None:
     found = labels + 1.0
     found[7, 0] = labels[7, 0] + 40
     labels[3, 0] = np.nan
-    moved = consensus(labels, found, 0.7)
+    moved = consensus(labels, found, 0.7, np.full(20, 6.0))
     np.testing.assert_allclose(moved[0, 0], labels[0, 0] + 0.7)
     np.testing.assert_allclose(moved[7, 0], labels[7, 0])
     assert np.isnan(moved[3, 0]).all()
+    # A network that has learnt nothing moves nothing, however much its errors agree.
+    np.testing.assert_array_equal(consensus(labels, labels + 30.0, 0.7, np.full(20, 6.0)), labels)
 
 
 def test_a_full_disk_loses_nothing_that_was_saved(make_frames: MakeFrames, tmp_path: Path) -> None:
