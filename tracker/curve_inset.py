@@ -48,6 +48,11 @@ class CurveInset:
         x0 = pad + max(drawing.text_size(label, letter)[0] for label in labels)
         x1 = width - pad - round(2 * scale)
         y0, y1 = pad + letter_h // 2, height - pad - letter_h
+        # On a frame this small nobody could read it.
+        self._shown = y1 - y0 >= 2 * letter_h and x1 - x0 >= 3 * letter_h
+        if not self._shown:
+            self.box = (0, 0, 0, 0)
+            return
         span = max(float(time_s[-1] - time_s[0]), 1e-9)
         self._x = x0 + (x1 - x0) * (time_s - time_s[0]) / span
         self._y = y1 - (y1 - y0) * (angle_deg - low) / (high - low)
@@ -74,6 +79,8 @@ class CurveInset:
 
     def draw(self, image: ImageArray, index: int) -> None:
         """Draw the chart as of frame `index`; call for 0, 1, 2, ... in order."""
+        if not self._shown:
+            return
         if self._step(self._bright, index, 255, 2.0 * self._scale):
             reach = 3 + round(2 * self._scale)
             self._mix(int(self._x[index - 1]) - reach, int(self._x[index]) + reach)

@@ -31,14 +31,19 @@ _SHIFT = 4  # OpenCV's fixed-point positions: sixteenths of a px
 
 def lines(image: ImageArray, points: FloatArray, colour: Colour, width: float) -> None:
     """An open line through (N, 2) positions."""
-    fixed = np.round(np.asarray(points) * (1 << _SHIFT)).astype(np.int32)
+    fixed = _fixed(points)
     cv2.polylines(image, [fixed[:, None]], False, colour, max(1, round(width)), cv2.LINE_AA, _SHIFT)
 
 
 def polygon(image: ImageArray, points: FloatArray, colour: Colour) -> None:
     """A filled shape with (N, 2) corners."""
-    fixed = np.round(np.asarray(points) * (1 << _SHIFT)).astype(np.int32)
+    fixed = _fixed(points)
     cv2.fillPoly(image, [fixed[:, None]], colour, cv2.LINE_AA, _SHIFT)
+
+
+def _fixed(points: FloatArray) -> np.ndarray:
+    """Positions as OpenCV wants them; far outside of any frame they are moved in, which no one can see."""
+    return np.round(np.clip(points, -1e5, 1e5) * (1 << _SHIFT)).astype(np.int32)
 
 
 def disc(image: ImageArray, centre: FloatArray, radius: float, colour: Colour) -> None:
@@ -92,7 +97,7 @@ def sector(
     if max(right - left, bottom - top) > 4 * max(image.shape[:2]):
         return  # far outside
     mask = np.zeros((bottom - top, right - left), np.uint8)
-    fixed = np.round((outline - (left, top)) * (1 << _SHIFT)).astype(np.int32)
+    fixed = _fixed(outline - (left, top))
     cv2.fillPoly(mask, [fixed[:, None]], (255,), cv2.LINE_AA, _SHIFT)
     shade(image, mask, colour, left, top, strength)
 
@@ -172,4 +177,4 @@ def _glyph(letter: str, size: int, bold: bool) -> tuple[ImageArray, ImageArray]:
 def _font(size: int, bold: bool) -> ImageFont.FreeTypeFont:
     """DejaVu Sans, which comes with matplotlib: digits of one width, degree and plus-minus signs."""
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
-    return ImageFont.truetype(Path(mpl.get_data_path()) / "fonts" / "ttf" / name, size)
+    return ImageFont.truetype(str(Path(mpl.get_data_path()) / "fonts" / "ttf" / name), size)

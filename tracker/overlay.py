@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from . import drawing
+from .angle import end_vector_px
 from .curve_inset import CurveInset
 from .drawing import DARK, ORANGE, SKY_BLUE, VERMILLION, WHITE, YELLOW
 from .errors import ResultsError
@@ -93,8 +94,12 @@ class Overlay:
             )
         self._table, self._definition = table, table.definition
         self._size_wh = size_wh
-        # 1 at 640 x 480; marks grow with the frame, and stay readable on a very small one.
-        self._scale = max(0.5, min(size_wh[1] / 480, size_wh[0] / 640))
+        # 1 at 640 x 480 and at 480 x 640; marks grow with the frame, and stay readable on a very small one.
+        self._scale = max(0.5, min(size_wh) / 480)
+        # Points and arrows are slimmer where the two points of an end lie close together.
+        length = end_vector_px(table.xy, table.keypoints, table.definition)
+        room = 1.0 if np.isnan(length) else float(np.clip(length / (40 * self._scale), 0.65, 1.0))
+        self._mark = room * self._scale
         self._letter = max(9, round(14 * self._scale))
         self._chain = [table.keypoints.index(name) for name in table.definition.points]
         self._others = [k for k in range(len(table.keypoints)) if k not in self._chain]
@@ -129,7 +134,7 @@ class Overlay:
 
     def _draw_chain(self, canvas: ImageArray, points: FloatArray, arrows: list[_Arrow]) -> None:
         """The skeleton, and on it the arrows of the two ends, each with a dark casing."""
-        s = self._scale
+        s = self._mark
         known = points[np.isfinite(points).all(axis=1)]
         if len(known) > 1:
             drawing.lines(canvas, known, DARK, 4 * s)
@@ -174,8 +179,11 @@ class Overlay:
         forward = base_end - base_start
         start = float(np.arctan2(forward[1], forward[0]))
         length = float(min(np.linalg.norm(forward), np.linalg.norm(tip - centre)))
-        radius = float(np.clip(0.62 * length, 20 * s, 64 * s))
-        _dashes(canvas, centre, centre + 1.55 * radius * forward / np.linalg.norm(forward), s)
+        radius = float(np.clip(0.62 * length, 32 * s, 64 * s))
+        reach = radius + 0.55 * min(radius, 40 * s)
+        _dashes(canvas, centre, centre + reach * forward / np.linalg.norm(forward), SKY_BLUE, s)
+        if np.linalg.norm(tip - centre) < radius:  # a short end: its direction goes on to the arc
+            _dashes(canvas, tip, centre + reach * (tip - centre) / np.linalg.norm(tip - centre), ORANGE, s)
         arc = centre + drawing.arc_points(radius, start, sweep)
         drawing.sector(canvas, centre, arc, YELLOW, 0.22)
         drawing.lines(canvas, arc, DARK, 4.6 * s)
@@ -218,7 +226,7 @@ class Overlay:
 
     def _draw_point(self, canvas: ImageArray, index: int, k: int) -> None:
         """A point, the fuller the likelier; around it its 2-sd ellipse where that is larger."""
-        s = self._scale
+        s = self._mark
         centre = self._table.xy[index, k]
         if not np.isfinite(centre).all():
             return
@@ -247,6 +255,8 @@ class Overlay:
         if flag:
             known = flag in set(Flag)
             words = _FLAG_WORDS.get(Flag(flag), flag) if known else flag
+            if flag == Flag.LOW_LIKELIHOOD and np.isnan(self._table.angle_deg[index]):
+                words = "points not found: no angle"
             width, height = drawing.text_size(words, size, bold=True)
             x, y, pad = round(left), round(top + 2.05 * line), round(5 * s)
             bar = np.full((height + pad // 2, width + 2 * pad), 255, np.uint8)
@@ -254,13 +264,15 @@ class Overlay:
             drawing.text(canvas, words, (x + pad, y + pad // 4), size, DARK, bold=True, halo=False)
 
 
-def _dashes(canvas: ImageArray, start: FloatArray, end: FloatArray, scale: float) -> None:
+def _dashes(
+    canvas: ImageArray, start: FloatArray, end: FloatArray, colour: drawing.Colour, scale: float
+) -> None:
     length = float(np.linalg.norm(end - start))
     count = max(2, round(length / (7 * scale)))
     for n in range(count):
         piece = start + np.array([[n], [n + 0.55]]) / count * (end - start)
         drawing.lines(canvas, piece, DARK, 3.4 * scale)
-        drawing.lines(canvas, piece, SKY_BLUE, 1.6 * scale)
+        drawing.lines(canvas, piece, colour, 1.6 * scale)
 
 
 def _ellipse_points(covariance: FloatArray) -> FloatArray | None:

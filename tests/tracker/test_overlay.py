@@ -97,6 +97,41 @@ def test_doubtful_and_flagged_rows_are_seen(film):
     assert near(sound, bar, VERMILLION, 12) == 0
 
 
+def test_a_row_without_points_says_that_there_is_no_angle(film):
+    table = make_table(film, [60.0, 60.0])
+    table.angle_deg[1] = table.xy[1] = np.nan
+    blank = np.full((480, 640, 3), 60, np.uint8)
+    bars = []
+    for flag in ("low_likelihood", "undecodable"):
+        overlay = Overlay(replace(table, flag=np.array([flag, flag])), (640, 480))
+        images = [overlay.draw(blank, index) for index in (0, 1)]
+        bars.append(
+            [int((np.abs(i[:70, :320].astype(int) - VERMILLION).max(axis=2) < 40).sum()) for i in images]
+        )
+    assert bars[0][1] > 1.4 * bars[0][0]  # more words
+    assert bars[1][1] == bars[1][0]
+
+
+def test_marks_leave_room_where_the_points_of_an_end_lie_close_together(film):
+    """Arrow, points and arc of an end of 16 px do not cover each other: the arc stands clear of the end."""
+    wide = make_table(film, [90.0])
+    xy = wide.xy.copy()
+    for near_one, far_one in ((1, 0), (2, 3)):
+        direction = xy[0, far_one] - xy[0, near_one]
+        xy[0, far_one] = xy[0, near_one] + 16 * direction / np.linalg.norm(direction)
+    image = Overlay(replace(wide, xy=xy), (640, 480)).draw(np.full((480, 640, 3), 60, np.uint8), 0)
+    middle = np.radians(45)
+    assert near(image, xy[0, 2] + 32 * np.array([np.cos(middle), np.sin(middle)]), YELLOW, 3) >= 3
+    assert near(image, xy[0, 2] + [0, 38], ORANGE, 4) >= 3  # the moving end's direction goes on to the arc
+    assert near(image, xy[0, :2].mean(axis=0), SKY_BLUE, 4) > 5
+
+
+def test_positions_beyond_all_bounds_can_be_drawn(film):
+    table = make_table(film, [60.0])
+    table.xy[0, 3] = 1e12
+    Overlay(table, (640, 480)).draw(np.zeros((480, 640, 3), np.uint8), 0)
+
+
 def test_undecodable_frame_shows_the_last_one_darkened(film):
     table = make_table(film, [60.0, 60.0])
     table.angle_deg[1] = table.xy[1] = np.nan
