@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from .types import Flag, FloatArray
 
 # Okabe and Ito's palette: told apart with any colour vision.
 _CURVE = "#0072B2"
+_LONGEST_NAME = 64
 _MARKS = {  # flag: colour, marker, words of the legend
     Flag.LOW_LIKELIHOOD: ("#E69F00", "o", "low likelihood"),
     Flag.DAMAGED: ("#CC79A7", "s", "damaged frame"),
@@ -56,10 +58,13 @@ def write_angle_figure(table: AngleTable, out_path: str | Path) -> None:
     if len(table) > 1:
         axes.set_xlim(float(table.time_s[0]), float(table.time_s[-1]))
     name = table.provenance.get("video", {}).get("name", "")
+    if len(name) > _LONGEST_NAME:
+        name = f"{name[: _LONGEST_NAME - 21]}…{name[-20:]}"
     # "$" would begin mathematics.
     axes.set_title(name.replace("$", r"\$"), loc="left", fontsize=11)
     n_flagged = int(np.sum(table.flag != ""))
     axes.set_title(f"{len(table)} frames, {n_flagged} flagged", loc="right", fontsize=9, color="0.35")
+    _limit_angles(axes, table)
     axes.grid(axis="y", color="0.92", linewidth=0.8, zorder=0)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
@@ -67,10 +72,25 @@ def write_angle_figure(table: AngleTable, out_path: str | Path) -> None:
     if len(handles) > 1:
         figure.legend(loc="outside lower center", ncols=min(len(handles), 4), frameon=False, fontsize=9)
     try:
-        with atomic_path(out_path) as temporary:
+        with atomic_path(out_path) as temporary, warnings.catch_warnings():
+            # A name in a script that the font lacks is shown as boxes; the file's name says it too.
+            warnings.filterwarnings("ignore", "Glyph .* missing from font", UserWarning)
             figure.savefig(temporary, format="png")
     except OSError as error:
         raise ResultsError(f"{out_path}: cannot be written ({error.strerror or error})") from error
+
+
+def _limit_angles(axes: Axes, table: AngleTable) -> None:
+    """Let the angles and most of the band set the axis: a row that is hardly known has a band of any height."""
+    known = np.isfinite(table.angle_deg)
+    if not known.any():
+        axes.set_ylim(-5.0, 95.0)
+        return
+    low, high = table.angle_deg[known].min(), table.angle_deg[known].max()
+    sd_deg = table.angle_sd_deg[known & np.isfinite(table.angle_sd_deg) & (table.flag == "")]
+    typical = 2 * float(np.median(sd_deg)) if len(sd_deg) else 0.0
+    margin = max(0.06 * (high - low), 1.3 * typical, 1.0)
+    axes.set_ylim(min(low, 0.0) - margin, high + margin)
 
 
 def _with_gaps(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:

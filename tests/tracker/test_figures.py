@@ -71,6 +71,28 @@ def test_tables_of_every_kind_can_be_drawn(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
 
 
+def test_a_row_that_is_hardly_known_does_not_flatten_the_curve(tmp_path):
+    plain, wild = make_table({}), make_table({100: "low_likelihood"})
+    wild.angle_sd_deg[100] = 1e4
+    heights = []
+    for number, table in enumerate((plain, wild)):
+        write_angle_figure(table, tmp_path / f"{number}.png")
+        image = cv2.imread(str(tmp_path / f"{number}.png"))[:, :, ::-1].astype(int)
+        rows = np.flatnonzero((np.abs(image - (0, 114, 178)).max(axis=2) < 12)[:780].any(axis=1))
+        heights.append(np.ptp(rows))
+    assert heights[1] > 0.95 * heights[0] > 500
+
+
+@pytest.mark.parametrize("name", ["弯曲 50kPa.mp4", "a_very_long_name_" * 12 + ".mp4", "$x$ 100% #1\\.mp4"])
+def test_any_name_of_a_video_will_do(tmp_path, name):
+    table = make_table({})
+    table.provenance["video"]["name"] = name
+    write_angle_figure(table, tmp_path / "a.png")
+    image = cv2.imread(str(tmp_path / "a.png"))
+    assert image.shape == (900, 1800, 3)
+    assert (image[:, -4:] == 255).all()  # nothing runs out of the picture
+
+
 def test_pyplot_is_left_alone(tmp_path):
     before = "matplotlib.pyplot" in sys.modules
     write_angle_figure(make_table({}), tmp_path / "a.png")
