@@ -15,10 +15,10 @@ from pathlib import Path
 from ...tracker.atomic import atomic_write_bytes
 from ...tracker.errors import LabelError, ProjectError
 from ...tracker.project import SETTINGS_FILE, Project
-from ...tracker.video import Video, video_stem
+from ...tracker.video import Video
 from ..label_table import LabelRow, Point
 from ..store import LabelStore, frame_index, image_size_wh, images_in, merge_row
-from .dlc_export import export_dlc
+from .dlc_export import by_stem, export_dlc
 from .dlc_source import Source, SourceVideo, open_source
 
 __all__ = ["ImportReport", "export_dlc", "import_dlc", "project_for"]
@@ -96,7 +96,8 @@ def import_dlc(
     Raises
     ------
     LabelError
-        The source is none of these, or none of its body parts is a keypoint of the project.
+        The source is none of these, none of its body parts is a keypoint of the project, or two of `videos`
+        have one name.
     VideoError
         One of `videos` cannot be read.
     OSError
@@ -106,7 +107,7 @@ def import_dlc(
     store = LabelStore.of(project)
     report = ImportReport(videos=len(found.videos), warnings=list(found.warnings))
     _compare_keypoints(found, project.keypoints, report)
-    files = {video_stem(path): Path(path) for path in videos}
+    files = by_stem(videos)
     for name in files.keys() - {video.video for video in found.videos}:
         report.warnings.append(f"{files[name].name}: no labels are named after this video")
     for video in found.videos:

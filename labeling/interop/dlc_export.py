@@ -50,7 +50,7 @@ def export_dlc(project: Project, out: str | Path, *, videos: Sequence[str | Path
     Raises
     ------
     LabelError
-        Nothing is labelled, the labels are malformed, or `out` has something in it.
+        Nothing is labelled, the labels are malformed, `out` has something in it, or two videos have one name.
     OSError
         The folder cannot be written.
     """
@@ -64,7 +64,7 @@ def export_dlc(project: Project, out: str | Path, *, videos: Sequence[str | Path
             f"expected a new or an empty folder to export to, got one with something in it: {out}"
         )
     report = ExportReport(labelled=len(frames))
-    files = {video_stem(path): Path(path) for path in videos}
+    files = by_stem(videos)
 
     out.parent.mkdir(parents=True, exist_ok=True)
     staging = out.parent / f".{out.name[:40]}.{secrets.token_hex(6)}.tmp"
@@ -92,6 +92,24 @@ def export_dlc(project: Project, out: str | Path, *, videos: Sequence[str | Path
         shutil.rmtree(staging, ignore_errors=True)
         raise
     return report
+
+
+def by_stem(videos: Sequence[str | Path]) -> dict[str, Path]:
+    """Video files by the name that their labels go by.
+
+    Raises
+    ------
+    LabelError
+        Two files have one name, so that nobody knows whose the labels are.
+    """
+    files: dict[str, Path] = {}
+    for path in map(Path, videos):
+        first = files.setdefault(video_stem(path), path)
+        if first.resolve() != path.resolve():
+            raise LabelError(
+                f"expected videos of different names, as labels go by them, got {first} and {path}"
+            )
+    return files
 
 
 def _export_video(

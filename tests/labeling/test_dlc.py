@@ -321,6 +321,22 @@ def test_pictures_that_are_missing_come_out_of_the_video(tmp_path: Path, project
     assert (again.images, again.labelled, again.unchanged) == (0, 0, 3)
 
 
+def test_two_videos_of_one_name_are_not_guessed_between(
+    source: Path, project: Project, tmp_path: Path
+) -> None:
+    for folder in ("monday", "tuesday"):
+        (tmp_path / folder).mkdir()
+        write_video(tmp_path / folder / "v.mp4", 2)
+    videos = [tmp_path / "monday" / "v.mp4", tmp_path / "tuesday" / "v.mp4"]
+    with pytest.raises(LabelError, match=r"different names.*monday.*tuesday"):
+        import_dlc(source, project, videos=videos)
+    assert labels(project) == []
+    import_dlc(source, project, videos=[videos[0], videos[0]])
+    with pytest.raises(LabelError, match="different names"):
+        export_dlc(project, tmp_path / "out", videos=videos)
+    assert not (tmp_path / "out").exists()
+
+
 def test_labels_without_pictures_and_without_their_video(tmp_path: Path, project: Project) -> None:
     write_video(tmp_path / "other.mp4", 2)
     file = tmp_path / "labels.csv"
