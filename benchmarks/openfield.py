@@ -3,7 +3,7 @@ track its video, and write it back.
 
     python benchmarks/openfield.py PATH-TO-DEEPLABCUT-PROJECT [--minutes 15]
 
-The frames of the second half are never in the project that is trained: they choose nothing.
+The network never sees the second half, and nothing in its training is chosen by it.
 """
 
 from __future__ import annotations
@@ -73,9 +73,7 @@ def run(args: argparse.Namespace, out: Path) -> None:
     )
     print(f"on the other {len(judged)} frames, px: {json.dumps(summary['error_px'])}")
     for name, figures in summary["per_keypoint_px"].items():
-        print(
-            f"  {name:12s} mean {figures['mean']:.2f}  median {figures['median']:.2f}  p95 {figures['p95']:.2f}"
-        )
+        print(f"  {name:12s} mean {figures['mean']}  median {figures['median']}  p95 {figures['p95']}")
 
     for video in sorted((args.project / "videos").glob("*")):
         begun = time.perf_counter()

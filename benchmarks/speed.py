@@ -10,7 +10,6 @@ and not converted; "decoding to RGB" is what tracking needs of it today.
 from __future__ import annotations
 
 import argparse
-import resource
 import tempfile
 import time
 from collections.abc import Callable
@@ -80,8 +79,6 @@ def main() -> None:
         print(f"{name:16s} {np.median(values):7.1f} frames/s  ({min(values):.1f} to {max(values):.1f})")
     ratio = np.array(speeds["decode to table"]) / np.array(speeds["decoding"])
     print(f"decode to table / decoding: {np.median(ratio):.3f} ({ratio.min():.3f} to {ratio.max():.3f})")
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(f"peak memory {peak:.0f} MiB")
 
 
 if __name__ == "__main__":

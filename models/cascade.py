@@ -25,8 +25,12 @@ training step and found nothing more."""
 REFINER_STAGES = 2
 """Two stages see a whole patch."""
 
-COLLAPSE_LIKELIHOOD = 0.3
-"""When the located keypoints' mean likelihood is under this, the actuator is sought in the whole frame."""
+COLLAPSE_LIKELIHOOD = 0.15
+"""A keypoint whose peak in the working region is under this is sought in the whole frame: a bend beyond the labelled
+ones may carry the tip out of the region. (Peaks of what is there are 0.4 to 0.9.)"""
+
+MAX_INPUT_PX = 1 << 20
+"""Input px that go through a network at once: its first layer's maps take 64 bytes for each."""
 
 
 class Cascade(nn.Module):
@@ -40,7 +44,6 @@ class Cascade(nn.Module):
 
     def __init__(self, backbone: str, n_keypoints: int) -> None:
         super().__init__()
-        self.n_keypoints = n_keypoints
         self.locator = HeatmapNetwork(backbone, LOCATOR_STAGES, n_keypoints)
         self.refiner = HeatmapNetwork(backbone, REFINER_STAGES, n_keypoints)
 
@@ -57,17 +60,17 @@ class Cascade(nn.Module):
 
         Parameters
         ----------
-        region : where to look; frames of another size than it was made for are searched whole
+        region : where to look, made for frames of this size (`Checkpoint.region_for`)
         partner : from `regions.partners`
         """
         self.eval()
-        h, w = frames[0].shape[:2]
-        region = region.for_frame((w, h))
         xy, likelihood = self._locate(frames, region)
-        for i in np.flatnonzero(likelihood.mean(axis=1) < COLLAPSE_LIKELIHOOD).tolist():
-            everywhere, score = self._locate(frames[i : i + 1], region.whole_frame())
-            if score.mean() > likelihood[i].mean():
-                xy[i], likelihood[i] = everywhere[0], score[0]
+        everything = region.whole_frame()
+        lost = np.flatnonzero(likelihood.min(axis=1) < COLLAPSE_LIKELIHOOD).tolist()
+        for i in lost if region != everything else []:
+            elsewhere, score = self._locate(frames[i : i + 1], everything)
+            better = (score[0] > likelihood[i]) & (likelihood[i] < COLLAPSE_LIKELIHOOD)
+            xy[i, better], likelihood[i, better] = elsewhere[0, better], score[0, better]
         return self._refine(frames, xy, likelihood, region, partner)
 
     def _locate(
@@ -120,10 +123,16 @@ def joined(parts: Sequence[Detections]) -> Detections:
 
 
 def _decoded(network: HeatmapNetwork, pictures: Sequence[ImageArray]) -> Decoded:
+    """Positions in pictures of one size, a few at a time so that memory stays flat whatever their size."""
     device = network.mean.device
-    batch = np.ascontiguousarray(np.stack(pictures).transpose(0, 3, 1, 2))
-    found = decode(network(torch.from_numpy(batch).to(device)))
-    return Decoded(*(part.cpu() for part in found))
+    at_once = max(1, MAX_INPUT_PX // (pictures[0].shape[0] * pictures[0].shape[1]))
+    parts = []
+    # TensorFloat-32 would round a GPU's positions by up to a tenth of a px; float32 is what is promised.
+    with torch.backends.cudnn.flags(enabled=True, allow_tf32=False):
+        for start in range(0, len(pictures), at_once):
+            batch = np.ascontiguousarray(np.stack(pictures[start : start + at_once]).transpose(0, 3, 1, 2))
+            parts.append(decode(network(torch.from_numpy(batch).to(device))))
+    return Decoded(*(torch.cat(part).cpu() for part in zip(*parts, strict=True)))
 
 
 def _float64(values: torch.Tensor) -> FloatArray:

@@ -57,10 +57,8 @@ class Checkpoint:
 
     def region_for(self, frame_wh: tuple[int, int]) -> WorkingRegion:
         """The working region for frames of a size: its own, or the first one's, searched whole."""
-        for region in self.regions:
-            if region.frame_wh == frame_wh:
-                return region
-        return self.regions[0].for_frame(frame_wh)
+        own = (region for region in self.regions if region.frame_wh == frame_wh)
+        return next(own, self.regions[0].for_frame(frame_wh))
 
     def detect(self, frames: Sequence[ImageArray] | ImageArray) -> Detections:
         """Keypoints of RGB frames of one size (N, H, W, 3) uint8, calibrated."""

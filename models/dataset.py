@@ -77,7 +77,10 @@ def read_image(frame: LabelledFrame) -> ImageArray:
     LabelError
         If the file is missing or not a picture.
     """
-    data = cv2.imread(str(frame.image_path), cv2.IMREAD_COLOR)
+    # Bytes first: OpenCV opens no path beyond the Latin ones on Windows, and prints warnings of its own.
+    # A camera's orientation tag is ignored, as the labelling tools and the label store ignore it.
+    raw = np.fromfile(frame.image_path, np.uint8) if frame.image_path.is_file() else np.empty(0, np.uint8)
+    data = cv2.imdecode(raw, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION) if raw.size else None
     if data is None:
         raise LabelError(f"expected a picture at {frame.image_path}, got a missing or unreadable file")
     return cv2.cvtColor(data, cv2.COLOR_BGR2RGB)
@@ -85,12 +88,12 @@ def read_image(frame: LabelledFrame) -> ImageArray:
 
 def prepare(image: ImageArray, xy: FloatArray, region: WorkingRegion) -> PreparedFrame:
     """Resize a frame once to both scales, so that a training step only cuts and turns."""
-    h, w = image.shape[:2]
+    coarse, fine = resize(image, region.locator_scale), resize(image, region.fine_scale)
     return PreparedFrame(
-        coarse=resize(image, region.locator_scale),
-        fine=resize(image, region.fine_scale),
-        coarse_view=resized_view(region.locator_scale, (0, 0), (w, h)),
-        fine_view=resized_view(region.fine_scale, (0, 0), (w, h)),
+        coarse=coarse,
+        fine=fine,
+        coarse_view=resized_view(region.locator_scale, (0, 0), (coarse.shape[1], coarse.shape[0])),
+        fine_view=resized_view(region.fine_scale, (0, 0), (fine.shape[1], fine.shape[0])),
         xy=np.asarray(xy, dtype=np.float64),
         region=region,
     )

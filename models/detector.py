@@ -43,8 +43,10 @@ class NetworkDetector:
 
     @property
     def batch_size(self) -> int:
-        """A CPU's caches hold the maps of a few frames; a GPU wants many."""
-        return 64 if self.device.type == "cuda" else 4
+        """A CPU's caches hold the maps of a few frames; a GPU wants many, as long as the frames are small."""
+        most = 64 if self.device.type == "cuda" else 4
+        largest = max(w * h for w, h in (region.frame_wh for region in self.checkpoint.regions))
+        return max(1, min(most, most * 2 * 640 * 480 // largest))
 
     @property
     def provenance(self) -> Mapping[str, Any]:

@@ -67,12 +67,10 @@ def _errors(evaluation: Evaluation) -> Figure:
     figure = _figure(7, 3.2)
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
     for k, name in enumerate(evaluation.keypoints):
-        error = _sorted(evaluation.error_px[:, k])
-        left.step(error, np.linspace(0, 1, len(error)), where="post", label=name)
+        left.step(*_cumulative(evaluation.error_px[:, k]), where="post", label=name)
     left.set(title="Keypoints", xlabel="distance from label (px)", ylabel="share of frames", xlim=(0, None))
     left.legend(frameon=False, fontsize="small")
-    angle = _sorted(np.abs(evaluation.angle_error_deg))
-    right.step(angle, np.linspace(0, 1, len(angle)), where="post", color="0.2")
+    right.step(*_cumulative(np.abs(evaluation.angle_error_deg)), where="post", color="0.2")
     right.set(title="Bending angle", xlabel="difference from label (deg)", xlim=(0, None))
     for axes in (left, right):
         axes.spines[["top", "right"]].set_visible(False)
@@ -81,8 +79,10 @@ def _errors(evaluation: Evaluation) -> Figure:
     return figure
 
 
-def _sorted(values: FloatArray) -> FloatArray:
-    return np.sort(values[~np.isnan(values)])
+def _cumulative(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The share of the known values that are at most x, as a staircase from (0, 0)."""
+    known = np.sort(values[~np.isnan(values)])
+    return np.concatenate([[0.0], known]), np.arange(len(known) + 1) / max(len(known), 1)
 
 
 def _worst(evaluation: Evaluation) -> Figure:

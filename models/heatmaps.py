@@ -116,8 +116,8 @@ def decode(maps: Maps) -> Decoded:
     inside = ((rows >= 0) & (rows < h))[..., :, None] & ((cols >= 0) & (cols < w))[..., None, :]
     index = (rows.clamp(0, h - 1)[..., :, None] * w + cols.clamp(0, w - 1)[..., None, :]).flatten(2)
     near = (step[:, None] ** 2 + step[None, :] ** 2 <= (r + 0.5) ** 2) & inside
-    votes = p.flatten(2).gather(2, index) * near.flatten(2)
-    votes = votes / votes.sum(dim=2, keepdim=True).clamp(min=1e-12)
+    heat = F.logsigmoid(maps.heat).flatten(2).gather(2, index)
+    votes = heat.masked_fill(~near.flatten(2), -torch.inf).softmax(dim=2)
 
     cx, cy = cell_centres(h, w, p.device)
     centre = torch.stack([cx[index % w], cy[index // w]], dim=2)

@@ -6,8 +6,8 @@ Weights pretrained on actuators will lie in `weights/`; nothing here ever loads 
 from __future__ import annotations
 
 import hashlib
+import http.client
 import re
-import urllib.error
 from collections.abc import Mapping
 from pathlib import Path
 from pickle import UnpicklingError
@@ -100,7 +100,7 @@ def _imagenet(backbone: str) -> dict[str, Tensor]:
             torch.hub.load_state_dict_from_url(
                 weights.url, check_hash=True, progress=False, weights_only=True
             )
-        except (urllib.error.URLError, OSError, RuntimeError) as error:
+        except (OSError, http.client.HTTPException, RuntimeError) as error:
             raise WeightsError(
                 f"ImageNet weights: expected {path.name} in {path.parent}, and its download failed"
                 f" ({_reason(error)}); get {weights.url} on a machine with a network and put it there, or use"

@@ -6,6 +6,7 @@ Camera and clamp do not move, so the labels of a few frames tell where the actua
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -32,6 +33,9 @@ MAX_MAGNIFICATION = 1.5
 
 MARGIN_SHARE = 0.2
 """Margin around the labels, as a share of their box's long side: labels never show the very extremes."""
+
+LEAST_FRAMES = 5
+"""Labelled frames of a size from which a working region is believed."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +86,12 @@ class WorkingRegion:
             return self
         ratio = max(self.frame_wh) / max(frame_wh)
         return WorkingRegion(
-            frame_wh, 0, 0, *frame_wh, min(1.0, self.locator_scale * ratio), self.refiner_scale * ratio
+            frame_wh,
+            0,
+            0,
+            *frame_wh,
+            min(1.0, self.locator_scale * ratio),
+            min(MAX_MAGNIFICATION, self.refiner_scale * ratio),
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -118,6 +127,29 @@ def find_region(xy: FloatArray, frame_wh: tuple[int, int]) -> WorkingRegion:
     locator_scale = min(1.0, max(LOCATOR_SIDE / max(width, height), LOCATOR_BODY / body))
     refiner_scale = min(MAX_MAGNIFICATION, PATCH_SIDE / (PATCH_BODY_SHARE * body))
     return WorkingRegion(frame_wh, left, top, width, height, locator_scale, refiner_scale)
+
+
+def working_regions(xy: FloatArray, sizes_wh: Sequence[tuple[int, int]]) -> tuple[WorkingRegion, ...]:
+    """A region for each frame size among labelled frames, that with the most frames first.
+
+    A size with fewer than `LEAST_FRAMES` labelled frames takes the scales of the best-labelled size and is searched
+    whole: a few poses do not tell where the actuator can be.
+
+    Parameters
+    ----------
+    xy : (N, K, 2) px, NaN where not labelled
+    sizes_wh : of the N frames
+    """
+    counts = Counter(sizes_wh)
+    regions = {size: find_region(xy[[own == size for own in sizes_wh]], size) for size in counts}
+    first = regions[counts.most_common(1)[0][0]]
+    if counts[first.frame_wh] < LEAST_FRAMES:
+        first = first.whole_frame()
+    return tuple(
+        region if counts[size] >= LEAST_FRAMES else first.for_frame(size)
+        for size, _ in counts.most_common()
+        for region in [regions[size]]
+    )
 
 
 def partners(xy: FloatArray) -> Sequence[int]:

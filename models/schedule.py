@@ -20,27 +20,30 @@ class Schedule:
 
     Attributes
     ----------
-    total : steps after which training ends
+    planned : steps wanted
+    total : steps after which training ends: `planned`, or what a time limit leaves of it
     decay_share : share of all steps in which the learning rate falls
     warmup : steps in which it rises
     decay_start : step at which it began to fall early, None while it has not
     best_px, stale : held-out error so far, and evaluations since it was best
     """
 
-    total: int
+    planned: int
     decay_share: float
+    total: int = 0
     warmup: int = 30
     decay_start: int | None = None
     best_px: float = float("inf")
     stale: int = 0
 
     def __post_init__(self) -> None:
-        self.warmup = min(self.warmup, max(1, self.total // 10))
+        self.total = self.total or self.planned
 
     def factor(self, step: int) -> float:
         """Learning rate at a step, as a share of the highest."""
-        if step < self.warmup:
-            return (step + 1) / self.warmup
+        warmup = min(self.warmup, max(1, self.total // 10))
+        if step < warmup:
+            return (step + 1) / warmup
         start = self._start()
         if step < start:
             return 1.0
@@ -61,12 +64,11 @@ class Schedule:
             # What a fall takes is kept in proportion to what was learnt before it.
             self.decay_start = step
             share = self.decay_share / max(1 - self.decay_share, 0.05)
-            self.total = min(self.total, step + max(1, round(step * share)))
+            self.planned = min(self.planned, step + max(1, round(step * share)))
+            self.total = min(self.total, self.planned)
         return False
 
     def fit(self, step: int, elapsed_s: float, limit_s: float) -> None:
-        """Shorten the training so that it ends within a time limit, at the speed seen so far."""
-        if step == 0:
-            return
-        affordable = max(step + 1, int(limit_s / (elapsed_s / step)))
-        self.total = min(self.total, affordable)
+        """Shorten the training, or lengthen it again up to the plan, to end within a time limit at the speed seen."""
+        affordable = max(step, int(limit_s / (elapsed_s / step)))
+        self.total = min(self.planned, affordable)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -51,8 +52,15 @@ class TrainingSettings:
             raise TrainingError(f"steps: expected at least 1, got {self.steps}")
         if not 0.0 <= self.held_out < 1.0:
             raise TrainingError(f"held_out: expected a share in [0, 1), got {self.held_out}")
-        if self.max_minutes is not None and self.max_minutes <= 0:
-            raise TrainingError(f"max_minutes: expected more than 0, got {self.max_minutes}")
+        if self.max_minutes is not None and not 0 < self.max_minutes < math.inf:
+            raise TrainingError(f"max_minutes: expected a number above 0, got {self.max_minutes}")
+        if self.seed < 0:
+            raise TrainingError(f"seed: expected 0 or more, got {self.seed}")
+        if self.batch_frames < 1:
+            raise TrainingError(f"batch_frames: expected at least 1, got {self.batch_frames}")
+        for name, value in (("decay_share", self.decay_share), ("consensus", self.consensus)):
+            if not 0.0 <= value <= 1.0:
+                raise TrainingError(f"{name}: expected a share in [0, 1], got {value}")
 
     def steps_for(self, n_frames: int) -> int:
         """Training steps for so many training frames."""

@@ -26,11 +26,13 @@ from ..tracker.types import Detections, FloatArray, LabelledFrame
 from .calibration import calibrate
 from .cascade import Cascade, joined
 from .checkpoint import Checkpoint, best_device
+from .consensus import consensus
 from .dataset import Batch, locator_batch, prepare, read_image, refiner_batch
 from .evaluation import frame_id
 from .heatmaps import heatmap_loss
+from .held_out import split
 from .initialisation import load_backbone, resolve_init, starting_weights
-from .regions import LOCATOR_SIDE, WorkingRegion, find_region, partners
+from .regions import LOCATOR_SIDE, partners, working_regions
 from .schedule import Schedule
 from .settings import TrainingSettings
 from .training_state import STATE_FILE, TrainingState, load_state, save_state
@@ -41,17 +43,8 @@ EVALUATE_EVERY = 50
 CONSENSUS_FROM = 0.3
 """Share of the steps after which positions follow the averaged network: before, it knows less than a click."""
 
-CONSENSUS_REACH = 4.0
-"""A prediction further than this from its label, in median distances, is not believed: perhaps another keypoint."""
-
-CONSENSUS_LIMIT_PATCH_PX = 6.0
-"""Nor is one further than this, in px of the refiner's patches: no label is so far off, the network is."""
-
 SPREAD_WEIGHT = 0.1
 """The spread head only describes; it must not steer the features."""
-
-MIN_FRAMES_TO_HOLD_OUT = 5
-"""With fewer, every frame is trained on, and nothing is known of the error."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +111,7 @@ def train(
         raise LabelError(
             f"training: expected every keypoint in some frame, got none for {', '.join(missing)}"
         )
-    trainer = _Trainer(labelled, tuple(keypoints), definition, Path(folder), settings)
+    trainer = _Trainer(labelled, tuple(keypoints), definition, Path(folder), settings, resume)
     if resume:
         trainer.restore()
     trainer.run(progress)
@@ -126,21 +119,6 @@ def train(
     checkpoint.save(Path(folder))
     trainer.state_file.unlink(missing_ok=True)
     return checkpoint
-
-
-def split(frames: Sequence[LabelledFrame], share: float, seed: int) -> tuple[list[int], list[int]]:
-    """Indices of the frames to train on and to hold out: a share of each actuator's, at least one of five.
-
-    Actuators with fewer than `MIN_FRAMES_TO_HOLD_OUT` frames are trained on whole.
-    """
-    rng = np.random.default_rng([seed, 1])
-    held: list[int] = []
-    for actuator in sorted({frame.actuator for frame in frames}):
-        own = [i for i, frame in enumerate(frames) if frame.actuator == actuator]
-        if share > 0 and len(own) >= MIN_FRAMES_TO_HOLD_OUT:
-            count = min(len(own) - 1, max(1, round(share * len(own))))
-            held += rng.choice(own, count, replace=False).tolist()
-    return [i for i in range(len(frames)) if i not in set(held)], sorted(held)
 
 
 class _Trainer:
@@ -153,6 +131,7 @@ class _Trainer:
         definition: AngleDefinition,
         folder: Path,
         settings: TrainingSettings,
+        resume: bool,
     ) -> None:
         self.frames, self.keypoints, self.definition = frames, keypoints, definition
         self.folder = folder
@@ -162,10 +141,11 @@ class _Trainer:
         self.settings = settings
         torch.manual_seed(settings.seed)
         self.network = Cascade(settings.backbone, len(keypoints))
-        state = starting_weights(self.start, settings.backbone)
-        if state is not None:
-            load_backbone(self.network.locator, state, self.start)
-            load_backbone(self.network.refiner, state, self.start)
+        # A training that is resumed has its weights already; those that it started from may be gone.
+        weights = None if resume else starting_weights(self.start, settings.backbone)
+        if weights is not None:
+            load_backbone(self.network.locator, weights, self.start)
+            load_backbone(self.network.refiner, weights, self.start)
         self.network.to(self.device)
         self.average = copy.deepcopy(self.network).requires_grad_(False)
         self.optimizer = torch.optim.AdamW(
@@ -183,11 +163,8 @@ class _Trainer:
         pictures = [read_image(frame) for frame in self.frames]
         sizes = [(p.shape[1], p.shape[0]) for p in pictures]
         labels = np.stack([frame.xy for frame in self.frames]).astype(np.float64)
-        regions: dict[tuple[int, int], WorkingRegion] = {}
-        for size in sizes:
-            if size not in regions:
-                regions[size] = find_region(labels[[s == size for s in sizes]], size)
-        self.regions = tuple(regions.values())
+        self.regions = working_regions(labels, sizes)
+        regions = {region.frame_wh: region for region in self.regions}
         self.partner = tuple(partners(labels))
         self.prepared = [
             prepare(picture, xy, regions[size])
@@ -268,7 +245,12 @@ class _Trainer:
                 " check the labels, or train with a lower learning rate or another seed"
             )
         loss.backward()
-        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 5.0)
+        norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), 5.0)
+        if not torch.isfinite(norm):
+            raise TrainingError(
+                f"training: expected finite gradients, got {norm.item()} at step {self.step};"
+                " train with a lower learning rate or another seed"
+            )
         self.optimizer.step()
         # A short memory at first, so that the average does not carry the random start along.
         keep = min(self.settings.average, (self.step + 1) / (self.step + 10))
@@ -308,10 +290,10 @@ class _Trainer:
                 self.best = {n: v.clone() for n, v in self.average.state_dict().items()}
                 self.best_step = self.step
         if self.settings.consensus and self.step >= CONSENSUS_FROM * self.schedule.total:
-            limits = [CONSENSUS_LIMIT_PATCH_PX / self.prepared[i].region.refiner_scale for i in self.trained]
+            scales = np.array([self.prepared[i].region.refiner_scale for i in self.trained])
             found = self._detect(self.average, self.trained).xy
             self.targets[self.trained] = consensus(
-                self.labels[self.trained], found, self.settings.consensus, np.array(limits)
+                self.labels[self.trained], found, self.settings.consensus, scales
             )
         self.rows.append(
             {
@@ -333,9 +315,11 @@ class _Trainer:
     def finish(self) -> Checkpoint:
         """The averaged network as a checkpoint: the last, unless an earlier one was clearly better."""
         network = copy.deepcopy(self.average)
+        step, held_out_px = self.step, self.last_px
         # Held-out labels are few and carry their own error, so only a clear difference counts.
         if self.best is not None and self.last_px > 1.15 * self.schedule.best_px:
             network.load_state_dict(self.best)
+            step, held_out_px = self.best_step, self.schedule.best_px
         calibration = calibrate(
             self._detect(network, self.trained),
             self.labels[self.trained],
@@ -346,11 +330,12 @@ class _Trainer:
             "settings": self.settings.to_dict(),
             "started_from": self.start,
             "steps": self.step,
+            "step_kept": step,
             "minutes": round(self.elapsed_s / 60, 2),
-            "held_out_px": None if math.isnan(self.last_px) else self.last_px,
+            "held_out_px": None if math.isnan(held_out_px) else held_out_px,
             "trained_on": [frame_id(self.frames[i]) for i in self.trained],
             "held_out": [frame_id(self.frames[i]) for i in self.held],
-            "labels_sha256": self.identity,
+            "settings_and_labels_sha256": self.identity,
         }
         return Checkpoint(
             network=network.cpu().eval(),
@@ -377,6 +362,7 @@ class _Trainer:
                 best=self.best,
                 best_step=self.best_step,
                 targets=self.targets,
+                start=self.start,
             ),
             self.network,
             self.average,
@@ -392,27 +378,9 @@ class _Trainer:
         state = load_state(self.state_file, self.network, self.average, self.optimizer, self.identity)
         self.step, self.elapsed_s, self.schedule = state.step, state.elapsed_s, state.schedule
         self.rows, self.best, self.best_step = state.rows, state.best, state.best_step
-        self.targets = state.targets
+        self.targets, self.start = state.targets, state.start
         if self.rows:
             self.last_px, self.last_deg = self.rows[-1]["held_out_px"], self.rows[-1]["held_out_deg"]
-
-
-def consensus(labels: FloatArray, found: FloatArray, share: float, limit_px: FloatArray) -> FloatArray:
-    """Labels moved by `share` toward what a network finds, where it agrees with them.
-
-    labels, found : (N, K, 2) px. A distance beyond `CONSENSUS_REACH` times the keypoint's median, or beyond
-    `limit_px` (N,), leaves the label as it is.
-    """
-    distance = np.linalg.norm(found - labels, axis=2)
-    with np.errstate(invalid="ignore"):
-        reach = CONSENSUS_REACH * np.array([_median(distance[:, k]) for k in range(labels.shape[1])])
-        near = distance <= np.minimum(reach, limit_px[:, None])
-    return np.where(near[..., None], labels + share * (found - labels), labels)
-
-
-def _median(values: FloatArray) -> float:
-    known = values[~np.isnan(values)]
-    return float(np.median(known)) if known.size else 0.0
 
 
 def _rms(values: FloatArray) -> float:

@@ -20,6 +20,9 @@ from .tensor_files import write_tensors
 
 STATE_FILE = "training-state.safetensors"
 
+# Raised when the state's contents or the networks' layers change.
+FORMAT = 1
+
 
 @dataclass
 class TrainingState:
@@ -32,6 +35,7 @@ class TrainingState:
     rows : of training.csv
     best, best_step : averaged weights with the lowest held-out error, and when
     targets : (N, K, 2) px, positions trained on
+    start : what the first weights were
     """
 
     identity: str
@@ -42,6 +46,7 @@ class TrainingState:
     best: dict[str, Tensor] | None
     best_step: int
     targets: NDArray[np.float64]
+    start: str
 
 
 def save_state(
@@ -55,12 +60,14 @@ def save_state(
         tensors |= {f"optimizer.{index}.{n}": torch.as_tensor(v) for n, v in values.items()}
     tensors["targets"] = torch.from_numpy(state.targets)
     header = {
+        "format": FORMAT,
         "identity": state.identity,
         "step": state.step,
         "elapsed_s": state.elapsed_s,
         "schedule": asdict(state.schedule),
         "rows": state.rows,
         "best_step": state.best_step,
+        "start": state.start,
     }
     write_tensors(path, tensors, header)
 
@@ -81,6 +88,11 @@ def load_state(
         tensors = load_file(path)
     except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
         raise TrainingError(f"--resume: expected a training state in {path}, got a damaged file") from error
+    if header.get("format") != FORMAT:
+        raise TrainingError(
+            f"--resume: expected a training state of format {FORMAT}, got {header.get('format')},"
+            " of another version of bendtrack; train again without --resume"
+        )
     if header["identity"] != identity:
         raise TrainingError(
             "--resume: expected the settings and labels that the training was started with, got others;"
@@ -101,6 +113,7 @@ def load_state(
         rows=header["rows"],
         best=_under("best.", tensors) or None,
         best_step=header["best_step"],
+        start=header["start"],
         targets=tensors["targets"].numpy(),
     )
 

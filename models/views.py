@@ -64,16 +64,13 @@ def centred_view(
 
 
 def resized_view(scale: float, offset_xy: tuple[int, int], size_wh: tuple[int, int]) -> View:
-    """The view that `resize_box` shows: a box from `offset_xy`, resized by `scale`."""
+    """What `resize` does to the part of an image that begins at `offset_xy`, as a view."""
     shift = 0.5 * scale - 0.5 - scale * np.array(offset_xy, dtype=float)
     return View(np.column_stack([np.eye(2) * scale, shift]), size_wh)
 
 
 def resize(image: ImageArray, scale: float) -> ImageArray:
-    """An image resized by exactly `scale` (its last column and row may be cut), without aliasing."""
+    """An image shrunk by exactly `scale`, at most 1 (its last column and row may be cut), without aliasing."""
     if scale == 1.0:
         return image
-    if scale > 1.0:
-        h, w = image.shape[:2]
-        return resized_view(scale, (0, 0), (round(w * scale), round(h * scale))).cut(image)
     return cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)

@@ -13,6 +13,7 @@ from bendtrack.models.regions import (
     body_length_px,
     find_region,
     partners,
+    working_regions,
 )
 
 
@@ -68,6 +69,17 @@ def test_frames_of_another_size_are_searched_whole_at_a_fitting_scale() -> None:
     assert (other.left, other.top, other.width, other.height) == (0, 0, 1280, 960)
     assert other.locator_scale == pytest.approx(region.locator_scale / 2)
     assert region.for_frame((640, 480)) is region
+
+
+def test_a_few_labels_do_not_tell_where_the_actuator_can_be() -> None:
+    large, few = sweep(), sweep(2.0)[:2]
+    regions = working_regions(np.concatenate([large, few]), [(640, 480)] * 12 + [(1280, 960)] * 2)
+    assert [region.frame_wh for region in regions] == [(640, 480), (1280, 960)]
+    assert (regions[0].width, regions[0].height) != (640, 480)
+    assert (regions[1].left, regions[1].width, regions[1].height) == (0, 1280, 960)
+    assert regions[1].locator_scale == pytest.approx(regions[0].locator_scale / 2)
+    alone = working_regions(sweep()[:3], [(640, 480)] * 3)
+    assert (alone[0].width, alone[0].height) == (640, 480)
 
 
 def test_a_region_survives_json() -> None:

@@ -23,7 +23,7 @@ def centroid(image: np.ndarray) -> np.ndarray:
     return np.array([(weight * x).sum(), (weight * y).sum()]) / weight.sum()
 
 
-@pytest.mark.parametrize("scale", [0.4, 0.5, 0.73, 1.0, 1.4])
+@pytest.mark.parametrize("scale", [0.4, 0.5, 0.73, 1.0])
 def test_resize_moves_a_spot_to_where_the_view_says(scale: float) -> None:
     image = blob((83.3, 61.8), sd=4.0)
     expected = resized_view(scale, (0, 0), (1, 1)).to_input(np.array([83.3, 61.8]))
