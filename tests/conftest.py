@@ -30,6 +30,11 @@ SIZE_WH = (96, 72)
 TINY_TRAINING = {"steps": 2, "batch_frames": 1, "held_out": 0.2}
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    # Tests share a machine's cores with the processes that they start.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+
 @dataclass(frozen=True)
 class Ran:
     """How a command ended."""
