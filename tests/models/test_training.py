@@ -103,6 +103,18 @@ training.train(
 """
 
 
+def kill_at_step(command: list[str], step: int) -> None:
+    """Start a training that prints its steps, and kill it when it has done so many."""
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    for line in process.stdout:
+        if int(line) == step:
+            break
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    process.stdout.close()
+
+
 @pytest.mark.slow
 def test_killed_and_resumed_equals_never_killed(make_frames: MakeFrames, tmp_path: Path) -> None:
     frames = make_frames(np.linspace(0, 180, 8))
@@ -110,14 +122,7 @@ def test_killed_and_resumed_equals_never_killed(make_frames: MakeFrames, tmp_pat
     command = [sys.executable, "-c", KILLED, str(tmp_path), ",".join(KEYPOINTS)]
     subprocess.run([*command, "whole"], check=True, capture_output=True)
 
-    process = subprocess.Popen([*command, "killed"], stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    for line in process.stdout:
-        if int(line) == 10:
-            break
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    process.stdout.close()
+    kill_at_step([*command, "killed"], 10)
     assert not (tmp_path / "killed" / "weights.safetensors").exists()
     resumed = subprocess.run([*command, "killed", "--resume"], check=True, capture_output=True, text=True)
     assert resumed.stdout.split()[0] == "9", "goes on from the state saved at step 8"
@@ -235,14 +240,7 @@ def test_a_full_disk_loses_nothing_that_was_saved(make_frames: MakeFrames, tmp_p
     frames = make_frames(np.linspace(0, 180, 8))
     np.save(tmp_path / "labels.npy", np.stack([frame.xy for frame in frames]))
     command = [sys.executable, "-c", KILLED, str(tmp_path), ",".join(KEYPOINTS), "model"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    for line in process.stdout:
-        if int(line) == 5:
-            break
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    process.stdout.close()
+    kill_at_step(command, 5)
     state = tmp_path / "model" / "training-state.safetensors"
     saved = state.read_bytes()
 
