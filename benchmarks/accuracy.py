@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from rendered import labelled_trial, rms
+from rendered import LabelledTrial, labelled_trial, rms
 
 from bendtrack.models.detector import NetworkDetector
 from bendtrack.models.settings import TrainingSettings
@@ -26,6 +26,23 @@ from bendtrack.tracker.angle import end_vector_px, label_noise_floor_deg
 from bendtrack.tracker.tracking import track
 
 END_VECTORS = (60.0, 40.0, 25.0)
+
+
+def labels_own_offset_deg(made: LabelledTrial) -> float:
+    """By how much this draw of label noise turns the angle, averaged over the labels along the moving ends.
+
+    Every estimate that rests on the labels inherits it; its standard deviation over draws is the floor.
+    """
+    truth = made.trial.xy[list(made.labelled)]
+    noise = np.stack([frame.xy for frame in made.frames]) - truth
+
+    def turn_rad(first: int, second: int) -> float:
+        vector = truth[:, second] - truth[:, first]
+        shift = noise[:, second] - noise[:, first]
+        across = vector[:, 0] * shift[:, 1] - vector[:, 1] * shift[:, 0]
+        return float(np.mean(across / np.sum(vector**2, axis=1)))
+
+    return made.definition.sign * float(np.rad2deg(turn_rad(2, 3) - turn_rad(0, 1)))
 
 
 def measure(folder: Path, seed: int, length: float, args: argparse.Namespace) -> dict[str, float]:
@@ -61,6 +78,7 @@ def measure(folder: Path, seed: int, length: float, args: argparse.Namespace) ->
         "end_vector_px": round(measured, 1),
         "floor_deg": label_noise_floor_deg(args.noise, args.labels, measured),
         "angle_rmse_deg": rms(error_deg[found]),
+        "labels_own_deg": labels_own_offset_deg(made),
         "angle_bias_deg": float(error_deg[found].mean()),
         "angle_sd_deg": float(np.median(table.angle_sd_deg[rest][found])),
         "within_2_sd": float(covered.mean()),
@@ -70,6 +88,12 @@ def measure(folder: Path, seed: int, length: float, args: argparse.Namespace) ->
         "flagged": float((table.flag[rest] != "").mean()),
         "train_minutes": minutes,
     }
+
+
+def _beside_labels(row: dict[str, float]) -> float:
+    """RMSE about the angle that the labels' own mean gives, over the floor."""
+    spread = row["angle_rmse_deg"] ** 2 - row["angle_bias_deg"] ** 2
+    return float(np.sqrt(spread + (row["angle_bias_deg"] - row["labels_own_deg"]) ** 2)) / row["floor_deg"]
 
 
 def main() -> None:
@@ -92,7 +116,8 @@ def main() -> None:
     rows = []
     print(f"{args.looks} looks, {args.labels} labels each, {args.noise:g} px label noise, start: {args.init}")
     print(
-        " seed   L px  floor deg  angle RMSE deg  ratio   bias  sd deg  in 2 sd  kp RMS px  max px  found  train min"
+        " seed   L px  floor deg  angle RMSE deg  ratio   bias  labels' own"
+        "  sd deg  in 2 sd  kp RMS px  max px  found  train min"
     )
     for index in range(args.looks):
         length = END_VECTORS[index % len(END_VECTORS)]
@@ -102,7 +127,8 @@ def main() -> None:
         ratio = row["angle_rmse_deg"] / row["floor_deg"] if row["floor_deg"] else float("nan")
         print(
             f"{row['seed']:5.0f} {row['end_vector_px']:6.1f} {row['floor_deg']:10.3f} {row['angle_rmse_deg']:15.3f}"
-            f" {ratio:6.2f} {row['angle_bias_deg']:6.2f} {row['angle_sd_deg']:7.2f} {row['within_2_sd']:8.2f}"
+            f" {ratio:6.2f} {row['angle_bias_deg']:6.2f} {row['labels_own_deg']:12.2f}"
+            f" {row['angle_sd_deg']:7.2f} {row['within_2_sd']:8.2f}"
             f" {row['keypoint_rms_px']:10.3f} {row['keypoint_max_px']:7.2f} {row['found']:6.3f}"
             f" {row['train_minutes']:10.2f}",
             flush=True,
@@ -117,6 +143,11 @@ def main() -> None:
         print(
             f"angle RMSE over label-noise floor: {rms(ratios):.2f} pooled,"
             f" {ratios.min():.2f} to {ratios.max():.2f} over trials (goal 1.5)"
+        )
+        own = np.array([row["labels_own_deg"] / row["floor_deg"] for row in rows])
+        print(
+            f"the labels' own offset over the floor: {rms(own):.2f} pooled (1 expected); what the network adds:"
+            f" {rms(np.array([_beside_labels(row) for row in rows])):.2f} pooled"
         )
     print(f"training: median {np.median(minutes):.2f} min, {min(minutes):.2f} to {max(minutes):.2f}")
     if args.json:
