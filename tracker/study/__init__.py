@@ -1,0 +1,1 @@
+"""The study: angle tables and pressure logs in, cycles, hysteresis, comparisons, figures and report out."""

@@ -1,0 +1,107 @@
+"""One trial as the numbers need it: angle and pressure on one clock, and how sure that clock is.
+
+Reading files and bringing pressure to the frames is `trial_data.py`; what is computed from it is elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+
+from ..types import FloatArray
+
+
+class Kind(StrEnum):
+    """What a trial's pressure does: holds stair after stair, or goes up and down in cycles."""
+
+    STATIC = "static"
+    DYNAMIC = "dynamic"
+
+
+@dataclass(frozen=True)
+class Shift:
+    """How the log's clock was brought to the video's: video time = log time + `delay_s`.
+
+    Attributes
+    ----------
+    delay_s : s
+    sd_s : standard uncertainty of the delay, s
+    method : "shared clock", "given delay" or "sync event"
+    """
+
+    delay_s: float
+    sd_s: float
+    method: str
+
+
+@dataclass(frozen=True)
+class TrialData:
+    """One trial on the video's clock.
+
+    Attributes
+    ----------
+    name, design : as the study file names them
+    kind : static or dynamic
+    frequency_hz, pressure_pp_kpa : nominal, from the study file; None where not given
+    time_s : (T,) the frames' times, rising
+    angle_deg, angle_sd_deg : (T,) NaN where a frame gives no angle; the sd is one frame's
+    pressure_kpa : (T,) pressure at the frames' times, NaN in the log's gaps
+    pressure_rate_kpa_s : (T,) slope of the filtered pressure at the frames' times
+    log_time_s, log_pressure_kpa : (M,) the log as recorded, its times on the video's clock
+    log_reference_kpa : (M,) the reference wave at the log's times, if there is one
+    model_pressure_kpa, model_angle_deg : (S,) the model (FEM) curve, if there is one
+    shift : how the two clocks were brought together
+    warnings : one sentence each, from reading the trial
+    provenance : JSON-ready, where the data came from
+    angle_common_sd_deg : standard uncertainty that all angles of the trial share (a label's offset, say)
+    """
+
+    name: str
+    design: str
+    kind: Kind
+    frequency_hz: float | None
+    pressure_pp_kpa: float | None
+    time_s: FloatArray
+    angle_deg: FloatArray
+    angle_sd_deg: FloatArray
+    pressure_kpa: FloatArray
+    pressure_rate_kpa_s: FloatArray
+    log_time_s: FloatArray
+    log_pressure_kpa: FloatArray
+    shift: Shift
+    log_reference_kpa: FloatArray | None = None
+    model_pressure_kpa: FloatArray | None = None
+    model_angle_deg: FloatArray | None = None
+    warnings: tuple[str, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    angle_common_sd_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        on_frames = (self.angle_deg, self.angle_sd_deg, self.pressure_kpa, self.pressure_rate_kpa_s)
+        if any(values.shape != self.time_s.shape for values in on_frames):
+            raise ValueError(
+                f"expected one value a frame, {self.time_s.shape}, got {[v.shape for v in on_frames]}"
+            )
+        if self.log_pressure_kpa.shape != self.log_time_s.shape:
+            raise ValueError(
+                f"expected a pressure for each time of the log, "
+                f"got {self.log_pressure_kpa.shape} and {self.log_time_s.shape}"
+            )
+
+    @property
+    def frame_s(self) -> float:
+        """Usual time from frame to frame, s; NaN with fewer than two frames."""
+        return float(np.median(np.diff(self.time_s))) if self.time_s.size > 1 else float("nan")
+
+    @property
+    def shift_sd_s(self) -> float:
+        """Uncertainty of the shift that the numbers carry: `shift.sd_s`, at least half a frame.
+
+        A picture says when it was taken to half a frame either way and no better, whatever the clocks; as a
+        standard uncertainty that is half a frame / sqrt(3) (a rectangular distribution, GUM 4.3.7).
+        """
+        return max(self.shift.sd_s, 0.5 * self.frame_s / 3**0.5)
