@@ -33,6 +33,16 @@ from ..types import FloatArray
 _CURVATURE = 0.85
 
 
+def play(way: FloatArray, cubic: float | FloatArray) -> FloatArray:
+    """psi of the module's equations: how far y has come after a `way` in x since the last turn."""
+    return (1 - cubic) * way + cubic * way**3
+
+
+def bend(y: FloatArray) -> FloatArray:
+    """f of the module's equations, from 0 to 1."""
+    return (1 - _CURVATURE) * y + _CURVATURE * y**2
+
+
 @dataclass(frozen=True)
 class HystereticResponse:
     """Angle from the history of pressure, with a known hysteresis ratio.
@@ -104,8 +114,7 @@ class HystereticResponse:
             moved = (1 - cubic) * step + cubic * step**3
             last_x, last_y = here, turn_y + (moved if rising else -moved)
             y[index] = last_y
-        bent = (1 - _CURVATURE) * y + _CURVATURE * y * y
-        result: FloatArray = self.angle_min_deg + (self.angle_max_deg - self.angle_min_deg) * bent
+        result: FloatArray = self.angle_min_deg + (self.angle_max_deg - self.angle_min_deg) * bend(y)
         return result
 
 
