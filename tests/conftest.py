@@ -67,16 +67,18 @@ class Bendtrack:
         Parameters
         ----------
         file_size : no file can grow larger (bytes); beyond, writing fails as on a full disk
-        obey_modes : root does without its right to write anywhere
+        obey_modes : root does without its right to read and write anywhere
         """
 
         def prepare() -> None:
             if file_size is not None:
                 resource.setrlimit(resource.RLIMIT_FSIZE, (file_size, file_size))
             if obey_modes and os.geteuid() == 0:
-                cap_dac_override, pr_capbset_drop = 1, 24
-                if ctypes.CDLL(None, use_errno=True).prctl(pr_capbset_drop, cap_dac_override, 0, 0, 0):
-                    raise OSError(ctypes.get_errno(), "prctl")
+                cap_dac_override, cap_dac_read_search, pr_capbset_drop = 1, 2, 24
+                libc = ctypes.CDLL(None, use_errno=True)
+                for capability in (cap_dac_override, cap_dac_read_search):
+                    if libc.prctl(pr_capbset_drop, capability, 0, 0, 0):
+                        raise OSError(ctypes.get_errno(), "prctl")
 
         done = subprocess.run(
             [COMMAND, *map(str, args)],

@@ -122,6 +122,17 @@ def test_the_good_ones_are_done_and_the_bad_ones_listed_last(
     assert done == {"a", "z", *DAMAGED}
 
 
+def test_a_video_that_may_not_be_read_does_not_end_the_run(
+    bendtrack, trained_project: Project, good: Path
+) -> None:
+    locked = shutil.copy(good, good.parent / "locked.mp4")
+    locked.chmod(0)
+    ran = bendtrack.installed("track", trained_project.root, locked, good, obey_modes=True)
+    assert ran.status == 1, ran.err
+    assert f"{locked}: expected a video, got a file that cannot be read (Permission denied)" in ran.err
+    assert [path.stem for path in trained_project.results_dir.glob("*.csv")] == [good.stem]
+
+
 def test_places_where_no_video_is(bendtrack, trained_project: Project, tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
     for name, message in {

@@ -52,7 +52,7 @@ def test_a_folder_becomes_tables_figures_and_overlays(
 
 def test_what_is_up_to_date_is_passed_over(bendtrack, trained_project: Project, videos: Path) -> None:
     results = trained_project.results_dir
-    pattern = videos / "*.[mM]*4"
+    pattern = videos / "*"  # the text among them is no video
     assert bendtrack("track", trained_project.root, pattern).status == 0
     before = {path.name: path.stat().st_mtime_ns for path in results.iterdir()}
     ran = bendtrack("track", trained_project.root, pattern, videos / "a.mp4")

@@ -75,21 +75,20 @@ def listed_videos(names: list[str]) -> list[Path]:
     found: dict[Path, Path] = {}
     for name in names:
         path = Path(name)
-        if path.is_dir():
+        if path.exists() and not path.is_dir():
+            own = [path]
+        else:
+            among = path.iterdir() if path.is_dir() else map(Path, glob.glob(name, recursive=True))
             own = sorted(
                 file
-                for file in path.iterdir()
+                for file in among
                 if file.suffix.lower() in VIDEO_SUFFIXES
                 and file.is_file()
                 and not file.name.startswith(".")
                 and not file.stem.endswith(f".{_OVERLAY}")
             )
-            if not own:
+            if not own and path.is_dir():
                 raise VideoError(f"expected videos in {path}, got a folder without any")
-        elif path.exists():
-            own = [path]
-        else:
-            own = sorted(file for file in map(Path, glob.glob(name, recursive=True)) if file.is_file())
             if not own:
                 raise VideoError(f"expected a video, got a path where nothing is: {name}")
         for file in own:
@@ -156,9 +155,13 @@ def _track_one(job: _Job, video: Path, overlay: bool, force: bool) -> str | None
     from ..video import file_sha256
     from . import progress_bars
 
-    if not video.stat().st_size:
-        raise VideoError(f"{video}: expected a video, got an empty file")
-    sha256 = file_sha256(video)
+    try:
+        if not video.stat().st_size:
+            raise VideoError(f"{video}: expected a video, got an empty file")
+        sha256 = file_sha256(video)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise VideoError(f"{video}: expected a video, got a file that cannot be read ({reason})") from error
     stem, note = choose_stem(job.folder, video, sha256)
     if note:
         talk.warn(note)
@@ -238,7 +241,7 @@ def render(
     frame_rate: Annotated[float | None, typer.Option(help="Frames per second.")] = None,
     size: Annotated[str | None, typer.Option(help="Of the frames, px, such as 640x480.")] = None,
     end_vector_px: Annotated[float | None, typer.Option(help="Distance of the two points of an end.")] = None,
-    labels: Annotated[int, typer.Option(help="Also label so many frames (labels.csv).")] = 0,
+    labels: Annotated[int, typer.Option(min=0, help="Also label so many frames (labels.csv).")] = 0,
     noise_px: Annotated[float | None, typer.Option(help="Error of the labels.")] = None,
 ) -> None:
     """Render a synthetic trial with its exact truth.
@@ -272,10 +275,9 @@ def render(
     if labels:
         noise = {} if noise_px is None else {"noise_px": noise_px}
         write_labels(trial, out / "labels.csv", *labelled_sample(trial, labels, seed=seed, **noise))
-    talk.say(
-        f"{out}: {len(trial.time_s)} frames, {trial.angle_deg.min():.1f} to {trial.angle_deg.max():.1f}°, "
-        f"hysteresis ratio {trial.hysteresis_ratio:g}"
-    )
+    made = f"{out}: {len(trial.time_s)} frames, {trial.angle_deg.min():.1f} to {trial.angle_deg.max():.1f}°"
+    # A staircase rises once: there is no loop to speak of.
+    talk.say(made if wave == "staircase" else f"{made}, hysteresis ratio {trial.hysteresis_ratio:g}")
     if labels:
         talk.say(f"Next: bendtrack import PROJECT {out / 'labels.csv'} --video {trial.video_path}")
 
