@@ -43,5 +43,13 @@ class TrainingError(BendtrackError):
     """Training cannot start or cannot go on (too few labels, a loss that is not finite)."""
 
 
+class PressureLogError(BendtrackError):
+    """A pressure log cannot be read, or does not say which column, unit or clock it means."""
+
+
+class StudyError(BendtrackError):
+    """A study file is malformed, or a trial of it cannot be put together."""
+
+
 class BendtrackWarning(UserWarning):
     """Something was worked around; the results say where."""
