@@ -1,0 +1,237 @@
+"""Text tables of any make to columns: delimiter, decimal comma, header, units, written dates are found out.
+
+What the columns mean is settled in `log_columns.py` and `pressure_log.py`.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from ..errors import PressureLogError
+from ..types import FloatArray
+from .log_columns import LogColumn
+from .units import known_unit, split_unit
+
+_DELIMITERS = ("\t", ";", ",", "|", " ")
+# Lines of a header that loggers put before the table; a table begins within them.
+_HEAD_LINES = 100
+_SAMPLE_LINES = 50
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
+_CLOCK = re.compile(
+    r"(\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}[T ]+)?\d{1,2}:\d{2}(:\d{2})?([.,]\d+)?\s*(Z|[+-]\d{2}:?\d{2})?"
+)
+_CLOCK_FORMATS = (
+    *("ISO8601", "%d.%m.%Y %H:%M:%S.%f", "%m/%d/%Y %H:%M:%S.%f", "%d/%m/%Y %H:%M:%S.%f"),
+    *("%d-%m-%Y %H:%M:%S.%f", "%Y/%m/%d %H:%M:%S.%f"),
+)
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """How a text is a table: its delimiter and decimal sign, its first line of numbers, its fields a line."""
+
+    delimiter: str
+    decimal: str
+    first: int
+    n_fields: int
+
+
+def csv_columns(path: Path) -> tuple[list[LogColumn], list[str]]:
+    """Columns of a text table, and what was worked around in reading it.
+
+    Delimiter (tab, semicolon, comma, bar, blanks) and decimal sign are those by which most fields are numbers.
+    The line before the first line of numbers holds the names; where that line holds only units, the one before it.
+    Without a header the columns are called "1", "2", ...
+
+    Raises
+    ------
+    PressureLogError
+        Not a text, no table in it, or a table that can be read in two ways.
+    """
+    lines = _text(path).splitlines()
+    layout = _layout(lines, path)
+    names, units = _header(lines, layout, path)
+    cells, warnings = _cells(lines, layout, path)
+    columns = []
+    for position, (name, unit) in enumerate(zip(names, units, strict=True)):
+        column, warning = _column(name, unit, cells[position], layout)
+        if warning:
+            warnings.append(warning)
+        columns.append(column)
+    return [c for c in columns if c.name or np.isfinite(c.values).any()], warnings
+
+
+def _text(path: Path) -> str:
+    data = path.read_bytes()
+    if not data.strip():
+        raise PressureLogError(f"{path}: expected a table, got an empty file")
+    for encoding in ("utf-16",) if data[:2] in (b"\xff\xfe", b"\xfe\xff") else ("utf-8-sig", "cp1252"):
+        try:
+            text = data.decode(encoding)
+        except UnicodeDecodeError:
+            continue
+        if "\0" not in text:
+            return text
+    raise PressureLogError(f"{path}: expected a text table or a MATLAB file, got something else")
+
+
+def _fields(line: str, delimiter: str) -> list[str]:
+    if delimiter == " ":
+        return line.split()
+    return [field.strip() for field in next(csv.reader([line], delimiter=delimiter), [])]
+
+
+def _is_number(field: str, decimal: str) -> bool:
+    return bool(_NUMBER.fullmatch(field if decimal == "." else field.replace(",", ".", 1)))
+
+
+def _layout(lines: Sequence[str], path: Path) -> _Layout:
+    """The reading of the first lines by which most fields are numbers or dates, the fewest anything else."""
+    best: tuple[tuple[int, int], _Layout] | None = None
+    for delimiter in _DELIMITERS:
+        for decimal in (".",) if delimiter == "," else (".", ","):
+            found = _first_line(lines, delimiter, decimal)
+            if found is None:
+                continue
+            first, n_fields = found
+            good = bad = 0
+            sample = [
+                _fields(line, delimiter) for line in lines[first : first + _SAMPLE_LINES] if line.strip()
+            ]
+            for fields in sample:
+                parsed = [_is_number(f, decimal) or bool(_CLOCK.fullmatch(f)) for f in fields if f]
+                good += sum(parsed)
+                bad += len(parsed) - sum(parsed)
+            score = (good - 2 * bad, -first)
+            if best is None or score > best[0]:
+                best = score, _Layout(delimiter, decimal, first, n_fields)
+    if best is None:
+        raise PressureLogError(f"{path}: expected a table of numbers, found no line of numbers")
+    return best[1]
+
+
+def _first_line(lines: Sequence[str], delimiter: str, decimal: str) -> tuple[int, int] | None:
+    """Index of the first line that holds numbers as the next one does, and its number of fields."""
+
+    def shape(line: str) -> tuple[int, bool]:
+        fields = _fields(line, delimiter)
+        return len(fields), any(_is_number(f, decimal) for f in fields)
+
+    filled = [(n, shape(line)) for n, line in enumerate(lines[: _HEAD_LINES + 2]) if line.strip()]
+    for (n, (n_fields, is_numbers)), (_, following) in zip(filled, filled[1:], strict=False):
+        if is_numbers and following == (n_fields, True) and not lines[n].lstrip().startswith("#"):
+            return n, n_fields
+    return None
+
+
+def _header(lines: Sequence[str], layout: _Layout, path: Path) -> tuple[list[str], list[str | None]]:
+    above = [line for line in lines[: layout.first] if line.strip()][-2:]
+    rows = [_fields(re.sub(r"^\s*[#%]+\s*", "", line), layout.delimiter) for line in above]
+    # Names with blanks in them, over columns parted by blanks, may be parted otherwise.
+    if layout.delimiter == " " and above and len(rows[-1]) != layout.n_fields:
+        rows[-1] = next((f for d in "\t;,|" if len(f := _fields(above[-1], d)) == layout.n_fields), rows[-1])
+    if not rows:
+        return [str(n) for n in range(1, layout.n_fields + 1)], [None] * layout.n_fields
+    # A trailing delimiter makes an empty field more, in the header or in the rows.
+    for row in rows:
+        while len(row) > layout.n_fields and not row[-1]:
+            row.pop()
+    names = rows[-1]
+    if len(names) == layout.n_fields - 1:
+        names = [*names, ""]
+    if len(names) != layout.n_fields:
+        if len(rows[-1]) == 1:  # a remark, not a header
+            return [str(n) for n in range(1, layout.n_fields + 1)], [None] * layout.n_fields
+        raise PressureLogError(
+            f"{path}: expected as many fields in the rows as names in the header, "
+            f"got {layout.n_fields} and {len(names)} ({', '.join(names)})"
+        )
+    written = [known_unit(re.sub(r"[\[\](){}]", "", name)) for name in names]
+    if (
+        len(rows) == 2
+        and len(rows[0]) == layout.n_fields
+        and all(unit or not name for unit, name in zip(written, names, strict=True))
+    ):
+        return rows[0], written
+    both = [split_unit(name) for name in names]
+    return [name for name, _ in both], [unit for _, unit in both]
+
+
+def _cells(lines: Sequence[str], layout: _Layout, path: Path) -> tuple[pd.DataFrame, list[str]]:
+    """The cells under the header as pandas reads them, and a word about lines that do not fit."""
+    body = [line for line in lines[layout.first :] if line.strip()]
+    try:
+        cells = pd.read_csv(
+            io.StringIO("\n".join(body)),
+            header=None,
+            # One more than there should be, which catches lines that are too long.
+            names=list(range(layout.n_fields + 1)),
+            index_col=False,
+            sep=r"\s+" if layout.delimiter == " " else layout.delimiter,
+            decimal=layout.decimal,
+            skipinitialspace=True,
+            on_bad_lines="skip",
+            low_memory=False,
+        )
+    except (ValueError, pd.errors.ParserError) as error:
+        raise PressureLogError(f"{path}: cannot be read as a table ({str(error).splitlines()[0]})") from error
+    # Many loggers end each line with a delimiter; that last field is empty.
+    long = cells[layout.n_fields].notna()
+    n_bad = len(body) - len(cells) + int(long.sum())
+    warnings = []
+    if n_bad:
+        warnings.append(f"{n_bad} of {len(body)} lines have too many fields and were left out")
+    return cells.loc[~long].reset_index(drop=True), warnings
+
+
+def _column(name: str, unit: str | None, cells: pd.Series, layout: _Layout) -> tuple[LogColumn, str | None]:
+    if pd.api.types.is_numeric_dtype(cells) and not pd.api.types.is_bool_dtype(cells):
+        return LogColumn(name, unit, cells.to_numpy(dtype=float)), None
+    text = cells.astype("str").str.strip()
+    filled = cells.notna().to_numpy() & (text != "").to_numpy()
+    if (
+        filled.any()
+        and text[filled].head(_SAMPLE_LINES).map(lambda t: bool(_CLOCK.fullmatch(t))).mean() > 0.5
+    ):
+        values, is_clock = _seconds(text), True
+    else:
+        if layout.decimal == ",":
+            text = text.str.replace(",", ".", n=1)
+        text = text.replace({"True": "1", "False": "0", "TRUE": "1", "FALSE": "0", "ON": "1", "OFF": "0"})
+        values, is_clock = pd.to_numeric(text, errors="coerce").to_numpy(dtype=float), False
+    lost = filled & ~np.isfinite(values) & ~text.str.lower().isin(["nan", "inf", "-inf"]).to_numpy()
+    warning = None
+    if lost.any() and not lost[filled].all():  # a column of words is not of interest
+        what = "dates" if is_clock else "numbers"
+        warning = f"column '{name}': {lost.sum()} cells are no {what}, the first '{text[int(lost.argmax())]}'"
+    return LogColumn(name, unit, values, is_clock), warning
+
+
+def _seconds(text: pd.Series) -> FloatArray:
+    """Seconds since 1970 of written dates, or since midnight of times of day; NaN where it cannot be read."""
+    text = text.str.replace(r"(:\d{2}),(\d+)", r"\1.\2", regex=True)
+    if not text.str.contains(r"\d[-/.]\d{1,2}[-/.]\d").any():
+        parts = text.str.extract(r"^(?:(?P<h>\d+):)?(?P<min>\d+):(?P<s>\d+(?:\.\d+)?)$").astype(float)
+        short = parts["h"].isna().all() & (text.str.count(":") == 1).all() & ~text.str.contains(r"\.").any()
+        if short:  # 14:05 is a time of day without seconds
+            return (60 * (60 * parts["min"] + parts["s"])).to_numpy(dtype=float)
+        return (3600 * parts["h"].fillna(0) + 60 * parts["min"] + parts["s"]).to_numpy(dtype=float)
+    best = np.full(len(text), np.nan)
+    with_fraction = text.where(
+        text.str.contains(r":\d{2}\.\d+"), text.str.replace(r"(:\d{2})$", r"\1.0", regex=True)
+    )
+    for date_format in _CLOCK_FORMATS:
+        source = text if date_format == "ISO8601" else with_fraction
+        stamps = pd.to_datetime(source, format=date_format, errors="coerce", utc=True)
+        seconds = (stamps - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)
+        if seconds.notna().sum() > np.isfinite(best).sum():
+            best = seconds.to_numpy(dtype=float)
+    return best

@@ -1,0 +1,155 @@
+"""Columns of a pressure log, and which of them is the time, the pressure, the reference wave, the sync channel.
+
+A column is taken by the name that the user gives or found by its header. Where two could be meant, none is taken.
+How files give columns is in `csv_log.py` and `matlab_log.py`.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ..errors import PressureLogError
+from ..types import FloatArray
+from .units import KPA_IN, PRESSURE_UNITS, SECONDS_IN, TIME_WORDS, words_of
+
+_PRESSURE_WORDS = {"pressure", "pressures", "press", "pres", "p", "druck", "pression", "presion", "pressione"}
+_REFERENCE_WORDS = {
+    *("reference", "ref", "setpoint", "set", "sp", "desired", "des", "target", "command", "commanded", "cmd"),
+    *("demand", "soll", "d"),
+}
+_SYNC_WORDS = {"sync", "synchronisation", "synchronization", "trigger", "trig", "led", "ttl", "strobe"}
+
+
+@dataclass(frozen=True, eq=False)
+class LogColumn:
+    """One column of a log.
+
+    Attributes
+    ----------
+    name : as in the file, without its unit
+    unit : as `units.split_unit` gives it
+    values : (M,) NaN where a cell is empty or no number
+    is_clock : the values are seconds since 1970 (or since midnight), read from written dates or times of day
+    time : the clock that belongs to this column alone, where the file says so (MATLAB structures)
+    """
+
+    name: str
+    unit: str | None
+    values: FloatArray
+    is_clock: bool = False
+    time: LogColumn | None = None
+
+
+def named_column(columns: Sequence[LogColumn], wanted: str | int, key: str, where: str) -> LogColumn:
+    """The column that the user names, by its name (with or without what stands before a dot) or its number from 1.
+
+    Raises
+    ------
+    PressureLogError
+        No such column, or several of that name.
+    """
+    if isinstance(wanted, int):
+        if not 1 <= wanted <= len(columns):
+            raise PressureLogError(
+                f"{where}: {key}: expected a column from 1 to {len(columns)}, got {wanted}"
+            )
+        return columns[wanted - 1]
+    for names in (
+        [c.name if c.unit is None else f"{c.name} [{c.unit}]" for c in columns],
+        [c.name for c in columns],
+        [c.name.lower() for c in columns],
+        [c.name.rpartition(".")[2].lower() for c in columns],
+    ):
+        looked_for = wanted if wanted in names else wanted.lower()
+        found = [column for column, name in zip(columns, names, strict=True) if name == looked_for]
+        if len(found) == 1:
+            return found[0]
+        if found:
+            raise PressureLogError(
+                f"{where}: {key}: expected one column called '{wanted}', got {_listed(columns, found)}; "
+                f"give its number: {key} = {columns.index(found[0]) + 1}"
+            )
+    close = difflib.get_close_matches(wanted, [c.name for c in columns], n=1)
+    hint = f" (did you mean '{close[0]}'?)" if close else ""
+    raise PressureLogError(
+        f"{where}: {key}: expected one of the columns {_listed(columns, columns)}, got '{wanted}'{hint}"
+    )
+
+
+def time_column(columns: Sequence[LogColumn], where: str) -> LogColumn | None:
+    """The only column that is a time by its cells, its unit or its name; None where there is none.
+
+    Raises
+    ------
+    PressureLogError
+        Several could be.
+    """
+    for found in (
+        [c for c in columns if c.unit in SECONDS_IN],
+        [c for c in columns if c.is_clock],
+        [c for c in columns if _is_time(c)],
+    ):
+        if found:
+            return _only(found, columns, "time", where)
+    return None
+
+
+def pressure_column(columns: Sequence[LogColumn], taken: Sequence[LogColumn], where: str) -> LogColumn:
+    """The only column that is a pressure by name or unit, or that is left when the others are known.
+
+    Raises
+    ------
+    PressureLogError
+        Several could be, or none.
+    """
+    left = [c for c in columns if c not in taken and not _is_time(c)]
+    named = [c for c in left if _is_pressure(c) and not words_of(c.name) & (_REFERENCE_WORDS | _SYNC_WORDS)]
+    if named:
+        return _only(named, columns, "pressure", where)
+    if len(left) == 1:
+        return left[0]
+    raise PressureLogError(
+        f"{where}: expected a column of pressure, found none by name among {_listed(columns, columns)}; "
+        "give pressure_column"
+    )
+
+
+def reference_column(
+    columns: Sequence[LogColumn], taken: Sequence[LogColumn], where: str
+) -> LogColumn | None:
+    """The only column that is the pressure asked for, by its name; None where there is none."""
+    left = [c for c in columns if c not in taken and not _is_time(c)]
+    found = [c for c in left if words_of(c.name) & (_REFERENCE_WORDS - {"d"})]
+    found = found or [c for c in left if _is_pressure(c) and "d" in words_of(c.name)]
+    return _only(found, columns, "reference", where) if found else None
+
+
+def sync_column(columns: Sequence[LogColumn], taken: Sequence[LogColumn], where: str) -> LogColumn | None:
+    """The only column that is a sync channel by its name; None where there is none."""
+    found = [c for c in columns if c not in taken and not _is_time(c) and words_of(c.name) & _SYNC_WORDS]
+    return _only(found, columns, "sync", where) if found else None
+
+
+def _is_time(column: LogColumn) -> bool:
+    named = bool(words_of(column.name) & TIME_WORDS) and column.unit not in PRESSURE_UNITS
+    return column.is_clock or column.unit in SECONDS_IN or named
+
+
+def _is_pressure(column: LogColumn) -> bool:
+    return column.unit in KPA_IN or bool(words_of(column.name) & _PRESSURE_WORDS)
+
+
+def _only(found: Sequence[LogColumn], columns: Sequence[LogColumn], what: str, where: str) -> LogColumn:
+    if len(found) > 1:
+        raise PressureLogError(
+            f"{where}: expected one column of {what}, got {len(found)}: {_listed(columns, found)}; "
+            f"give {what}_column, by name or by number from 1"
+        )
+    return found[0]
+
+
+def _listed(columns: Sequence[LogColumn], some: Sequence[LogColumn]) -> str:
+    """Columns by number and name, as the message lists them."""
+    return ", ".join(f"{number} '{c.name}'" for number, c in enumerate(columns, 1) if c in some)

@@ -1,0 +1,294 @@
+"""A pressure log of any make: time in s and pressure in kPa, with what is wrong with it said, never smoothed over.
+
+How files give columns is in `csv_log.py` and `matlab_log.py`; how the log comes to the frames in `trial_data.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from ..errors import PressureLogError
+from ..types import FloatArray
+from ..video import file_sha256
+from .csv_log import csv_columns
+from .log_clock import order_clock, usual_step_s
+from .log_columns import (
+    LogColumn,
+    named_column,
+    pressure_column,
+    reference_column,
+    sync_column,
+    time_column,
+)
+from .log_faults import pressure_faults
+from .matlab_log import matlab_columns
+from .units import KPA_IN, PRESSURE_UNITS, SECONDS_IN, factor_to_kpa, known_unit
+
+# Without a written unit a time is taken to be in seconds only where that gives a rate that pressure is logged at.
+_PLAUSIBLE_HZ = (4.0, 20_000.0)
+# Numbers beyond this are no time from a start but a date: seconds since 1970 reach it in 2001.
+_EPOCH = 1e9
+_EPOCH_UNITS = ((1e18, "ns"), (1e15, "us"), (1e12, "ms"), (_EPOCH, "s"))
+_DAY_S = 86_400.0
+_MIN_SAMPLES = 10
+
+
+@dataclass(frozen=True)
+class LogFormat:
+    """What a user says about logs. What is left None is found in the file, or refused where it cannot be.
+
+    Attributes
+    ----------
+    time_column, pressure_column, reference_column, sync_column : a column's name, or its number from 1
+    time_unit, pressure_unit : where the header does not say
+    rate_hz : samples a second, for a log without times
+    gain_kpa_per_v : of a sensor whose voltage was logged
+    offset_kpa : added to the pressure (and to the reference) after its unit
+    lag_s : how late the logged pressure is, by a filter before the log; taken off its times
+    """
+
+    time_column: str | int | None = None
+    pressure_column: str | int | None = None
+    reference_column: str | int | None = None
+    sync_column: str | int | None = None
+    time_unit: str | None = None
+    pressure_unit: str | None = None
+    rate_hz: float | None = None
+    gain_kpa_per_v: float | None = None
+    offset_kpa: float = 0.0
+    lag_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class PressureLog:
+    """A pressure log on its own clock.
+
+    Attributes
+    ----------
+    time_s : (M,) rising; where dates were logged, from the first sample
+    pressure_kpa : (M,) NaN where the log has none
+    reference_kpa : (M,) the wave that was asked for, if the log holds it
+    sync : (M,) the sync channel as logged, if there is one
+    started_s : seconds since 1970 (UTC, or of a clock without zone) of time 0, where dates were logged
+    time_sd_s : uncertainty that the log's own clock adds (a clock that ticks coarsely)
+    warnings : a line each
+    provenance : JSON-ready: file, hash, columns, units, rate
+    """
+
+    time_s: FloatArray
+    pressure_kpa: FloatArray
+    reference_kpa: FloatArray | None = None
+    sync: FloatArray | None = None
+    started_s: float | None = None
+    time_sd_s: float = 0.0
+    warnings: tuple[str, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+
+def read_pressure_log(path: str | Path, log_format: LogFormat | None = None) -> PressureLog:
+    """Read a pressure log: a text table (CSV of any delimiter and decimal sign) or a MATLAB file (v5, v7.3).
+
+    Columns and units are as `log_format` says, else as the headers say ("P [kPa]", "pressure_psi", "t (ms)").
+    Times may be numbers, written dates or times of day. Rows are put in the order of time as `log_clock`
+    says; gaps, repeats, clock jumps, saturation, constant and negative pressure are told in `warnings`.
+
+    Raises
+    ------
+    PressureLogError
+        Not a log; a column, unit or clock is missing, or several could be meant (they are listed).
+    """
+    path, log_format = Path(path), log_format or LogFormat()
+    columns, warnings = _columns_of(path)
+    pressure, time, reference, sync = _chosen(columns, log_format, str(path))
+    if time is None:
+        seconds, started_s, notes = _counted(len(pressure.values), log_format, str(path)), None, []
+    else:
+        seconds, started_s, notes = _seconds(time, log_format, str(path))
+    warnings += notes
+    kpa, unit = _kpa(pressure, log_format, str(path))
+    if np.isfinite(kpa).sum() < _MIN_SAMPLES:
+        raise PressureLogError(
+            f"{path}: expected at least {_MIN_SAMPLES} samples of pressure, got {np.isfinite(kpa).sum()}"
+        )
+    clock = order_clock(seconds, kpa)
+    if len(clock.rows) < _MIN_SAMPLES:
+        raise PressureLogError(f"{path}: expected at least {_MIN_SAMPLES} samples in the order of time")
+    time_s, kpa = clock.time_s - log_format.lag_s, kpa[clock.rows]
+    rate_hz = 1 / usual_step_s(time_s)
+    if time is not None and log_format.rate_hz is not None and abs(rate_hz / log_format.rate_hz - 1) > 0.01:
+        warnings.append(f"rate_hz = {log_format.rate_hz:g} was given, the log's times say {rate_hz:.5g}")
+    return PressureLog(
+        time_s=time_s,
+        pressure_kpa=kpa,
+        reference_kpa=None
+        if reference is None
+        else _beside(reference, pressure, seconds, log_format, path)[clock.rows],
+        sync=None if sync is None else sync.values[clock.rows],
+        started_s=started_s,
+        # A sample's true time lies anywhere in its tick.
+        time_sd_s=clock.tick_s / 12**0.5,
+        warnings=(*warnings, *clock.warnings, *pressure_faults(time_s, kpa)),
+        provenance={
+            "name": path.name,
+            "sha256": file_sha256(path),
+            "samples": len(time_s),
+            "rate_hz": round(rate_hz, 6),
+            "columns": {
+                "time": None if time is None else time.name,
+                "pressure": pressure.name,
+                "reference": None if reference is None else reference.name,
+                "sync": None if sync is None else sync.name,
+            },
+            "pressure_unit": unit,
+            "format": {key: value for key, value in asdict(log_format).items() if value is not None},
+        },
+    )
+
+
+def _columns_of(path: Path) -> tuple[list[LogColumn], list[str]]:
+    if not path.is_file():
+        raise PressureLogError(
+            f"expected a pressure log, got {'a folder' if path.is_dir() else 'no file'}: {path}"
+        )
+    if path.suffix.lower() == ".mat" or h5py.is_hdf5(path):
+        return matlab_columns(path), []
+    return csv_columns(path)
+
+
+def _chosen(
+    columns: Sequence[LogColumn], asked: LogFormat, where: str
+) -> tuple[LogColumn, LogColumn | None, LogColumn | None, LogColumn | None]:
+    """Columns of pressure, time, reference and sync: those named first, then what their headers say."""
+    named = {
+        key: named_column(columns, wanted, key, where)
+        for key in ("time_column", "pressure_column", "reference_column", "sync_column")
+        if (wanted := getattr(asked, key)) is not None
+    }
+    taken = list(named.values())
+    pressure, time = named.get("pressure_column"), named.get("time_column")
+    if time is None and not any(column.time for column in columns):
+        time = time_column([c for c in columns if c not in taken], where)
+        taken += [time] if time else []
+    if pressure is None:
+        candidates = [c for c in columns if time is None or len(c.values) == len(time.values)]
+        pressure = pressure_column(columns if len(candidates) == len(columns) else candidates, taken, where)
+        taken.append(pressure)
+    if time is None:
+        alike = [c for c in columns if len(c.values) == len(pressure.values) and c not in taken]
+        time = pressure.time or time_column(alike, where)
+    elif len(time.values) != len(pressure.values):
+        raise PressureLogError(
+            f"{where}: expected as many times as pressures, got {len(time.values)} in '{time.name}' "
+            f"and {len(pressure.values)} in '{pressure.name}'"
+        )
+    rest = [c for c in columns if len(c.values) == len(pressure.values) or c.time is not None]
+    taken = [c for c in (*taken, time) if c is not None]
+    reference = named.get("reference_column") or reference_column(rest, taken, where)
+    sync = named.get("sync_column")
+    if sync is None:
+        alike = [c for c in rest if len(c.values) == len(pressure.values)]
+        sync = sync_column(alike, [*taken, *([reference] if reference else [])], where)
+    if sync is not None and len(sync.values) != len(pressure.values):
+        raise PressureLogError(
+            f"{where}: expected a sync channel of {len(pressure.values)} samples as the pressure has, "
+            f"got {len(sync.values)} in '{sync.name}'"
+        )
+    return pressure, time, reference, sync
+
+
+def _counted(n_samples: int, asked: LogFormat, where: str) -> FloatArray:
+    if asked.rate_hz is None:
+        raise PressureLogError(
+            f"{where}: expected a column of time, found none by name or unit; give time_column, or rate_hz"
+        )
+    return np.arange(n_samples) / asked.rate_hz
+
+
+def _seconds(time: LogColumn, asked: LogFormat, where: str) -> tuple[FloatArray, float | None, list[str]]:
+    """Times (N,) in s, the date of time 0 where dates were logged, and what was worked around."""
+    values, notes = time.values, []
+    if time.is_clock:
+        if np.nanmax(values) <= _DAY_S:  # a time of day
+            midnight = np.concatenate([[0.0], np.cumsum(np.diff(values) < -_DAY_S / 2)])
+            if midnight[-1]:
+                notes.append("the log's time of day passes midnight; a day was added after it")
+            values = values + _DAY_S * midnight
+            return values - np.nanmin(values), None, notes
+        return values - np.nanmin(values), float(np.nanmin(values)), notes
+    unit = _agreed(time.unit, asked.time_unit, "time", where, time.name)
+    if unit is not None and unit not in SECONDS_IN:
+        raise PressureLogError(
+            f"{where}: column '{time.name}': expected a unit of time ({', '.join(SECONDS_IN)}), got '{unit}'"
+        )
+    if not np.isfinite(values).any():
+        raise PressureLogError(f"{where}: column '{time.name}': expected times, got no number in it")
+    first = float(np.nanmin(values))
+    if unit is None:
+        unit = next((unit for least, unit in _EPOCH_UNITS if first >= least), None)
+    if unit is None:
+        step = float(np.median(np.abs(np.diff(values[np.isfinite(values)]))))
+        rate_hz = 1 / step if step > 0 else np.inf
+        if not _PLAUSIBLE_HZ[0] <= rate_hz <= _PLAUSIBLE_HZ[1]:
+            raise PressureLogError(
+                f"{where}: column '{time.name}' names no unit, and its steps of {step:g} would be {rate_hz:g} samples "
+                "a second if it were seconds; give time_unit"
+            )
+        unit = "s"
+    factor = SECONDS_IN[unit]
+    if first * factor >= _EPOCH:
+        return (values - first) * factor, first * factor, notes
+    return values * factor, None, notes
+
+
+def _kpa(column: LogColumn, asked: LogFormat, where: str) -> tuple[FloatArray, str]:
+    unit = _agreed(column.unit, asked.pressure_unit, "pressure", where, column.name)
+    if unit is None:
+        raise PressureLogError(
+            f"{where}: column '{column.name}' names no unit; give pressure_unit ({', '.join(PRESSURE_UNITS)})"
+        )
+    factor = factor_to_kpa(unit, asked.gain_kpa_per_v, f"{where}: column '{column.name}'")
+    values = np.where(np.isfinite(column.values), column.values, np.nan)
+    return values * factor + asked.offset_kpa, unit
+
+
+def _agreed(written: str | None, given: str | None, what: str, where: str, name: str) -> str | None:
+    """The unit in the header or the one that the user gives; a contradiction is refused."""
+    if given is None:
+        return written
+    meant = known_unit(given) or given
+    if written is not None and known_unit(written) is not None and written != meant:
+        raise PressureLogError(
+            f"{where}: column '{name}' is in {written} by its header, {what}_unit says {given}; "
+            f"leave {what}_unit out, or mend the header"
+        )
+    return meant
+
+
+def _beside(
+    reference: LogColumn, pressure: LogColumn, seconds: FloatArray, asked: LogFormat, path: Path
+) -> FloatArray:
+    """The reference wave in kPa at the pressure's samples. Without a unit of its own it has the pressure's."""
+    own = replace(reference, unit=reference.unit or pressure.unit)
+    # A wave asked for in kPa stands beside a sensor's voltage.
+    if own.unit in KPA_IN and own.unit != pressure.unit:
+        asked = replace(asked, pressure_unit=None, gain_kpa_per_v=None, offset_kpa=0.0)
+    kpa, _ = _kpa(own, asked, str(path))
+    if len(kpa) == len(seconds) and (
+        reference.time is None
+        or pressure.time is None
+        or np.array_equal(reference.time.values, pressure.time.values)
+    ):
+        return kpa
+    if reference.time is None:
+        raise PressureLogError(
+            f"{path}: expected a reference of {len(seconds)} samples as the pressure has, "
+            f"got {len(kpa)} in '{reference.name}'"
+        )
+    own_s, _, _ = _seconds(reference.time, asked, str(path))
+    return np.interp(seconds, own_s, kpa, left=np.nan, right=np.nan)

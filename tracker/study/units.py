@@ -1,0 +1,116 @@
+"""Units of pressure and time: what a header may call them, and what they are in kPa and s. No file is read here."""
+
+from __future__ import annotations
+
+import re
+
+from ..errors import PressureLogError
+
+# Exact by definition, but for psi (1 lbf / in2, six digits more than any sensor has).
+KPA_IN = {
+    "kPa": 1.0,
+    "Pa": 0.001,
+    "hPa": 0.1,
+    "MPa": 1000.0,
+    "mbar": 0.1,
+    "bar": 100.0,
+    "psi": 6.894757293168,
+}
+# A voltage is a pressure only by the sensor's gain, which the user gives.
+VOLT_IN = {"V": 1.0, "mV": 0.001}
+PRESSURE_UNITS = (*KPA_IN, *VOLT_IN)
+
+SECONDS_IN = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}
+
+_SPELLINGS = {
+    **{unit.lower(): unit for unit in (*KPA_IN, *VOLT_IN, *SECONDS_IN)},
+    **dict.fromkeys(("psig", "lbf/in2", "lb/in2"), "psi"),
+    **dict.fromkeys(("kpag", "kilopascal", "kilopascals"), "kPa"),
+    **dict.fromkeys(("pascal", "pascals"), "Pa"),
+    **dict.fromkeys(("barg",), "bar"),
+    **dict.fromkeys(("millibar", "millibars"), "mbar"),
+    **dict.fromkeys(("volt", "volts"), "V"),
+    **dict.fromkeys(("millivolt", "millivolts"), "mV"),
+    **dict.fromkeys(("sec", "secs", "second", "seconds"), "s"),
+    **dict.fromkeys(("msec", "millis", "millisecond", "milliseconds"), "ms"),
+    **dict.fromkeys(("µs", "μs", "usec", "micros", "microsecond", "microseconds"), "us"),
+    **dict.fromkeys(("minute", "minutes"), "min"),
+    **dict.fromkeys(("hour", "hours"), "h"),
+    **dict.fromkeys(("day", "days"), "d"),
+}
+TIME_WORDS = {
+    *("time", "times", "t", "timestamp", "timestamps", "tout", "clock", "date", "datetime", "elapsed"),
+    *("zeit", "uhrzeit", "zeitstempel", "temps", "tiempo", "tempo"),
+}
+_BRACKETS = re.compile(r"[\[({<]\s*([^\])}>]*?)\s*[\])}>]\s*$")
+_WORDS = re.compile(r"[^\W_]+")
+
+
+def known_unit(text: str) -> str | None:
+    """The unit that a text means, in this module's spelling; None if it is none. "mPa" is not taken for "MPa".
+
+    >>> known_unit("KPA"), known_unit("seconds"), known_unit("mPa"), known_unit("apples")
+    ('kPa', 's', None, None)
+    """
+    text = text.strip()
+    if text == "mPa":
+        return None
+    return _SPELLINGS.get(text.lower())
+
+
+def split_unit(header: str) -> tuple[str, str | None]:
+    """Name and unit of a column's header: "P [kPa]", "Pressure (psi)", "pressure_psi", "time / s", "kPa".
+
+    Returns
+    -------
+    The name without its unit, and the unit as `known_unit` spells it; what stands in brackets and is no unit
+    that is known is given as it came. Without brackets, only a time has a unit of time: a "P_d" is no pressure in
+    days.
+
+    >>> [split_unit(h) for h in ("P [kPa]", "pressure_psi", "time / s", "P (apples)", "P_d", "kPa")]
+    [('P', 'kPa'), ('pressure', 'psi'), ('time', 's'), ('P', 'apples'), ('P_d', None), ('kPa', 'kPa')]
+    """
+    header = header.strip()
+    brackets = _BRACKETS.search(header)
+    if brackets:
+        inside = brackets[1].strip()
+        return header[: brackets.start()].strip() or header, known_unit(inside) or inside or None
+    alone = known_unit(header)
+    if alone in PRESSURE_UNITS or header == "s":
+        return header, alone
+    parts = re.match(r"(.*[^\W_])[\s_/,.:-]+(\S+)$", header)
+    unit = known_unit(parts[2]) if parts else None
+    if parts and unit and (unit in PRESSURE_UNITS or words_of(parts[1]) & TIME_WORDS):
+        return parts[1], unit
+    return header, None
+
+
+def words_of(name: str) -> set[str]:
+    """Words of a name, in small letters, parted at signs, digits' ends and capitals.
+
+    >>> sorted(words_of("PressureRef_2"))
+    ['2', 'pressure', 'ref']
+    """
+    parted = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
+    return {word.lower() for word in _WORDS.findall(parted)}
+
+
+def factor_to_kpa(unit: str, gain_kpa_per_v: float | None, where: str) -> float:
+    """kPa in one of a column's units; for a voltage, by the sensor's gain.
+
+    Raises
+    ------
+    PressureLogError
+        Not a pressure, or a voltage without a gain, or a gain without a voltage. `where` opens the message.
+    """
+    if unit in KPA_IN:
+        if gain_kpa_per_v is not None:
+            raise PressureLogError(f"{where}: gain_kpa_per_v is for a pressure in V or mV, got one in {unit}")
+        return KPA_IN[unit]
+    if unit in VOLT_IN:
+        if gain_kpa_per_v is None:
+            raise PressureLogError(
+                f"{where}: the pressure is in {unit}; give gain_kpa_per_v, the sensor's gain"
+            )
+        return VOLT_IN[unit] * gain_kpa_per_v
+    raise PressureLogError(f"{where}: expected a pressure unit ({', '.join(PRESSURE_UNITS)}), got '{unit}'")
