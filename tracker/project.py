@@ -15,6 +15,7 @@ from .angle import AngleDefinition, sign_from_labels
 from .atomic import atomic_write_text
 from .errors import ProjectError
 from .project_settings import ProjectSettings, listed_stem, parse_settings
+from .toml_files import toml_text
 from .types import FloatArray
 
 SETTINGS_FILE = "bendtrack.toml"
@@ -120,7 +121,7 @@ class Project:
         path = root / SETTINGS_FILE
         if not path.is_file():
             raise ProjectError(f"expected a project folder with {SETTINGS_FILE} in it, got {root}")
-        return cls(root, parse_settings(tomllib.loads(_toml_text(path)), str(path)))
+        return cls(root, parse_settings(tomllib.loads(toml_text(path, ProjectError)), str(path)))
 
     @property
     def keypoints(self) -> tuple[str, ...]:
@@ -177,7 +178,7 @@ class Project:
             The actuator's name cannot be one, or the file has been damaged since.
         """
         path = self.root / SETTINGS_FILE
-        document = tomlkit.parse(_toml_text(path))
+        document = tomlkit.parse(toml_text(path, ProjectError))
         table = document.setdefault("actuators", tomlkit.table())
         stems = list(dict.fromkeys(listed_stem(video) for video in videos))
         for name, listed in table.items():
@@ -190,15 +191,3 @@ class Project:
         settings = parse_settings(tomllib.loads(text), str(path))
         atomic_write_text(path, text)
         self.settings = settings
-
-
-def _toml_text(path: Path) -> str:
-    """Text of a TOML file that is known to parse. Windows editors may have put a byte order mark in front."""
-    try:
-        text = path.read_bytes().decode("utf-8-sig").replace("\r\n", "\n")
-        tomllib.loads(text)
-    except UnicodeDecodeError as error:
-        raise ProjectError(f"{path}: expected UTF-8 text, got a byte that is not at {error.start}") from error
-    except tomllib.TOMLDecodeError as error:
-        raise ProjectError(f"{path}: expected TOML, got a mistake: {error}") from error
-    return text

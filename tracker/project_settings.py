@@ -6,16 +6,16 @@ are overrides: one that is not given takes the default of the code that uses it,
 
 from __future__ import annotations
 
-import difflib
 import re
 from pathlib import PurePosixPath
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
-from pydantic_core import ErrorDetails, PydanticCustomError
+from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic_core import PydanticCustomError
 
 from .angle import AngleDefinition, default_points
 from .errors import AngleError, ProjectError
+from .toml_files import Section, mistake_in_words
 
 # An actuator for every video that no actuator lists: a project that says nothing is a study of one actuator.
 DEFAULT_ACTUATOR = "default"
@@ -28,18 +28,11 @@ VIDEO_SUFFIXES = (
     *(".mts", ".ogv", ".ts", ".webm", ".wmv", ".y4m"),
 )
 
-# What pydantic calls by its Python name.
-_IN_TOML = {"dict_type": "a [section]", "model_type": "a [section]", "tuple_type": "a list"}
-
 # TOML arrays arrive as lists; what is in them stays strict.
 Names = Annotated[tuple[str, ...], Field(strict=False)]
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
-
-
-class AngleSettings(_Section):
+class AngleSettings(Section):
     """Which bending angle the project measures (see `angle.py`).
 
     Attributes
@@ -54,7 +47,7 @@ class AngleSettings(_Section):
     sign: Literal["auto", "+", "-"] = "auto"
 
 
-class TrainingSettings(_Section):
+class TrainingSettings(Section):
     """Overrides of the training defaults, which are in `bendtrack.models`."""
 
     backbone: Literal["resnet18", "resnet34", "resnet50"] | None = None
@@ -66,13 +59,13 @@ class TrainingSettings(_Section):
     held_out: float | None = Field(default=None, ge=0, lt=1)
 
 
-class TrackingSettings(_Section):
+class TrackingSettings(Section):
     """Overrides of the tracking defaults, which are in `tracking.py`."""
 
     min_likelihood: float | None = Field(default=None, ge=0, le=1)
 
 
-class ProjectSettings(_Section):
+class ProjectSettings(Section):
     """All of bendtrack.toml.
 
     Attributes
@@ -176,9 +169,7 @@ def parse_settings(raw: dict[str, Any], where: str) -> ProjectSettings:
     try:
         return ProjectSettings.model_validate(raw)
     except ValidationError as error:
-        mistakes = error.errors()
-        more = f" (and {len(mistakes) - 1} more)" if len(mistakes) > 1 else ""
-        raise ProjectError(f"{where}: {_in_words(mistakes[0])}{more}") from error
+        raise ProjectError(f"{where}: {mistake_in_words(error, ProjectSettings)}") from error
 
 
 def _check_name(name: str, what: str) -> None:
@@ -189,28 +180,3 @@ def _check_name(name: str, what: str) -> None:
             "got {name}",
             {"what": what, "name": repr(name)},
         )
-
-
-def _in_words(mistake: ErrorDetails) -> str:
-    path = [str(part) for part in mistake["loc"]]
-    key = ".".join(path)
-    if mistake["type"] == "extra_forbidden":
-        allowed = _keys_of(path[:-1])
-        close = difflib.get_close_matches(path[-1], allowed, n=1)
-        hint = f" (did you mean '{close[0]}'?)" if close else ""
-        return f"unknown key '{key}'{hint}; expected one of {', '.join(allowed)}"
-    if mistake["type"] == "missing":
-        return f"expected the key '{key}', got none"
-    message = mistake["msg"].replace("Input should be", "expected")
-    if mistake["type"] in _IN_TOML:
-        message = f"expected {_IN_TOML[mistake['type']]}"
-    if mistake["type"] in ("name", "keypoints", "actuators", "angle"):
-        return f"{key}: {message}" if key else message
-    return f"{key}: {message}, got {mistake['input']!r}"
-
-
-def _keys_of(path: list[str]) -> list[str]:
-    section: type[BaseModel] = ProjectSettings
-    for part in path:
-        section = section.model_fields[part].annotation  # type: ignore[assignment]
-    return list(section.model_fields)

@@ -123,7 +123,7 @@ KEYPOINTS = 'keypoints = ["a", "b", "c", "d"]\n'
         ("keypoints = ['a', 'b,c', 'd', 'e']", "name of letters, digits, spaces and _ . + - (beginning"),
         ("keypoints = ['a', '=1+2', 'd', 'e']", "got '=1+2'"),
         ("keypoints = ['a', ' b', 'd', 'e']", "got ' b'"),
-        ("keypoints = ['a', 2, 'd', 'e']", "keypoints.1: expected a valid string, got 2"),
+        ("keypoints = ['a', 2, 'd', 'e']", "keypoints[2]: expected a valid string, got 2"),
         ("keypoints = 'a'", "keypoints: expected a list, got 'a'"),
         ("keypoints = ['a', 'b']", "angle 'two-vector' expected at least 4 keypoints, got 2: a, b"),
     ],

@@ -10,6 +10,7 @@ import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -126,7 +127,7 @@ def _first_line(lines: Sequence[str], delimiter: str, decimal: str) -> tuple[int
         return len(fields), any(_is_number(f, decimal) for f in fields)
 
     filled = [(n, shape(line)) for n, line in enumerate(lines[: _HEAD_LINES + 2]) if line.strip()]
-    for (n, (n_fields, is_numbers)), (_, following) in zip(filled, filled[1:], strict=False):
+    for (n, (n_fields, is_numbers)), (_, following) in pairwise(filled):
         if is_numbers and following == (n_fields, True) and not lines[n].lstrip().startswith("#"):
             return n, n_fields
     return None

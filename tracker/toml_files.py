@@ -1,0 +1,97 @@
+"""TOML files that people write: read with any editor's quirks, and each mistake in them told in one line.
+
+What may stand in a file is said by the pydantic models of `project_settings.py` and `study/study_file.py`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic_core import ErrorDetails
+
+from .errors import BendtrackError
+
+# What pydantic calls by its Python name.
+_IN_TOML = {"dict_type": "a [section]", "model_type": "a [section]", "tuple_type": "a list"}
+
+
+class Section(BaseModel):
+    """A section of a file: keys that it does not know are refused, and nothing is converted."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+
+def toml_text(path: Path, error: type[BendtrackError]) -> str:
+    """Text of a TOML file that is known to parse. Windows editors may have put a byte order mark in front.
+
+    Raises
+    ------
+    error
+        Not UTF-8, or not TOML (with the line).
+    OSError
+        As it came.
+    """
+    try:
+        text = path.read_bytes().decode("utf-8-sig").replace("\r\n", "\n")
+        tomllib.loads(text)
+    except UnicodeDecodeError as mistake:
+        raise error(f"{path}: expected UTF-8 text, got a byte that is not at {mistake.start}") from mistake
+    except tomllib.TOMLDecodeError as mistake:
+        raise error(f"{path}: expected TOML, got a mistake: {mistake}") from mistake
+    return text
+
+
+def mistake_in_words(error: ValidationError, model: type[BaseModel]) -> str:
+    """The first mistake in a file of this model, with its key, what was expected and what came; how many more."""
+    mistakes = error.errors()
+    more = f" (and {len(mistakes) - 1} more)" if len(mistakes) > 1 else ""
+    return f"{_in_words(mistakes[0], model)}{more}"
+
+
+def _in_words(mistake: ErrorDetails, model: type[BaseModel]) -> str:
+    key = _key(mistake["loc"])
+    if mistake["type"] == "extra_forbidden":
+        allowed = _keys_of(model, mistake["loc"][:-1])
+        close = difflib.get_close_matches(str(mistake["loc"][-1]), allowed, n=1)
+        hint = f" (did you mean '{close[0]}'?)" if close else ""
+        return f"unknown key '{key}'{hint}; expected one of {', '.join(allowed)}"
+    if mistake["type"] == "missing":
+        return f"expected the key '{key}', got none"
+    message = mistake["msg"].replace("Input should be", "expected")
+    if mistake["type"] in _IN_TOML:
+        message = f"expected {_IN_TOML[mistake['type']]}"
+    if "url" not in mistake:  # our own validators say all there is to say
+        return f"{key}: {message}" if key else message
+    return f"{key}: {message}, got {mistake['input']!r}"
+
+
+def _key(place: tuple[int | str, ...]) -> str:
+    """Where a mistake is, as in the file; entries of a list are counted from 1.
+
+    >>> _key(("trials", 2, "kind"))
+    'trials[3].kind'
+    """
+    parts = [f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in place]
+    return "".join(parts).removeprefix(".")
+
+
+def _keys_of(model: type[BaseModel], place: tuple[int | str, ...]) -> list[str]:
+    """Keys that the section at a place may have."""
+    section: Any = model
+    for part in place:
+        if _is_model(section):
+            section = section.model_fields[part].annotation
+            choices = get_args(section)
+            if type(None) in choices:  # an optional section is that section
+                section = choices[0]
+        else:  # an entry of a list or of a table of sections
+            section = next(one for one in get_args(section) if _is_model(one))
+    return list(section.model_fields)
+
+
+def _is_model(annotation: Any) -> bool:
+    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
