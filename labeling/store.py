@@ -197,7 +197,12 @@ def frame_index(image: str) -> int | None:
 
 def image_size_wh(path: Path) -> tuple[int, int] | None:
     """(width, height) in px of a picture, None where the file does not open as one."""
-    data = np.frombuffer(path.read_bytes(), np.uint8)
+    return picture_size_wh(path.read_bytes())
+
+
+def picture_size_wh(contents: bytes) -> tuple[int, int] | None:
+    """(width, height) in px of a picture, given the contents of its file; None where they are none."""
+    data = np.frombuffer(contents, np.uint8)
     image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
     return None if image is None else (image.shape[1], image.shape[0])
 
@@ -243,6 +248,11 @@ def merge_row(first: LabelRow, second: LabelRow) -> LabelRow:
 def sorted_rows(rows: Iterable[LabelRow]) -> tuple[LabelRow, ...]:
     """Rows in the order of their frames, then of their names."""
     return tuple(sorted(rows, key=lambda row: _image_order(row.image)))
+
+
+def sorted_by_frame(images: Iterable[str]) -> list[str]:
+    """Image names in the order of their frames, then of their names."""
+    return sorted(images, key=_image_order)
 
 
 def _image_order(image: str) -> tuple[bool, int, str]:

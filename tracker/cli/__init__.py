@@ -10,6 +10,7 @@ from collections.abc import Callable
 from .app import app
 from .demo_command import demo
 from .doctor_command import doctor
+from .label_command import label
 from .network_commands import evaluate, train
 from .project_commands import export_labels, import_labels, new
 from .video_commands import render, track
@@ -21,6 +22,7 @@ _COMMANDS: dict[str, Callable[..., None]] = {  # in the order of --help
     "new": new,
     "import": import_labels,
     "export": export_labels,
+    "label": label,
     "train": train,
     "evaluate": evaluate,
     "track": track,

@@ -1,0 +1,252 @@
+"""Every frame of a project with what is known of it, read from labeled-data/ as it stands on disk.
+
+Labels are `store.py`'s, all else is `side_data.py`'s; here the two become one `FrameState`. Nothing outside the
+project is followed: a link that leads out of it is not there.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+import threading
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from ..tracker.errors import BendtrackError, LabelError
+from ..tracker.project import SETTINGS_FILE, Project
+from .frame_state import FrameState
+from .side_data import NOTES_FILE, Remarks, read_notes, write_notes
+from .store import IMAGE_SUFFIXES, LabelStore, frame_index, sorted_by_frame
+
+_Stamp = tuple[str, int, int, int]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture file of a video's folder.
+
+    Attributes
+    ----------
+    path : the file
+    stamp : changes when the file does
+    """
+
+    path: Path
+    stamp: str
+
+    @property
+    def name(self) -> str:
+        """File name."""
+        return self.path.name
+
+    @cached_property
+    def frame(self) -> int | None:
+        """Index of the frame in its video, None where the name does not tell."""
+        return frame_index(self.path.name)
+
+
+@dataclass(frozen=True)
+class VideoFolder:
+    """One folder of labeled-data/, as it stood at one moment.
+
+    Attributes
+    ----------
+    video : stem, the folder's name
+    pictures : image name -> file, in the order of the frames
+    states : image name -> what is known, for every picture
+    repeats : image name -> its repeat label as it stands in the notes, where there is one
+    """
+
+    video: str
+    pictures: Mapping[str, Picture]
+    states: Mapping[str, FrameState]
+    repeats: Mapping[str, Mapping[str, Any]]
+
+
+class Annotations:
+    """Reads and writes frame states. What has not changed on disk is not read again.
+
+    Parameters
+    ----------
+    project : its settings are read again when bendtrack.toml has changed
+    lock : held while files are read, so that none is seen between two writes of one edit
+
+    Raises
+    ------
+    LabelError
+        labeled-data/ is a link that leads out of the project.
+    """
+
+    def __init__(self, project: Project, lock: Callable[[], AbstractContextManager[None]]) -> None:
+        self._lock = lock
+        self._root = Path(os.path.realpath(project.root))
+        self._use(project)
+        self._settings_stamp = self._stamp_of_settings()
+        self._cache: dict[str, tuple[tuple[_Stamp, ...], VideoFolder]] = {}
+        self._cache_lock = threading.Lock()
+        if not self._is_inside(project.labels_dir):
+            raise LabelError(
+                f"expected {project.labels_dir} within the project, got a link to"
+                f" {os.path.realpath(project.labels_dir)}"
+            )
+
+    def _use(self, project: Project) -> None:
+        self.project = project
+        self.store = LabelStore.of(project)
+
+    def refresh(self) -> None:
+        """Take over bendtrack.toml if it has changed (other commands write it) and can be read."""
+        stamp = self._stamp_of_settings()
+        if stamp == self._settings_stamp:
+            return
+        try:
+            self._use(Project.open(self.project.root))
+        except BendtrackError:
+            return
+        self._settings_stamp = stamp
+        with self._cache_lock:
+            self._cache.clear()
+
+    def videos(self) -> list[str]:
+        """Stems of the videos that have a folder within the project, sorted."""
+        return [
+            name
+            for name in self.store.videos()
+            if _is_text(name) and self._is_inside(self.store.labels_dir / name)
+        ]
+
+    def folder(self, video: str) -> VideoFolder | None:
+        """One video's folder, None where there is no such video.
+
+        Raises
+        ------
+        LabelError
+            A label file or the notes are malformed, or a link out of the project.
+        """
+        if video not in self.videos():
+            return None
+        stamps = self._stamps(self.store.labels_dir / video)
+        with self._cache_lock:
+            known = self._cache.get(video)
+        if known is not None and known[0] == stamps:
+            return known[1]
+        with self._lock():
+            stamps = self._stamps(self.store.labels_dir / video)
+            folder = self._read(video, stamps)
+        with self._cache_lock:
+            self._cache[video] = (stamps, folder)
+        return folder
+
+    def folders(self) -> list[VideoFolder]:
+        """All of them, by name."""
+        return [folder for folder in map(self.folder, self.videos()) if folder is not None]
+
+    def write(self, video: str, image: str, before: FrameState, after: FrameState) -> None:
+        """Put a frame from one state into another; what is equal in both is not touched.
+
+        Raises
+        ------
+        LabelError
+            A file is malformed.
+        OSError
+            A file cannot be written. The label file comes first, so the notes may still say `before`.
+        """
+        points = {
+            name: after.points.get(name)
+            for name in self.store.keypoints
+            if after.points.get(name) != before.points.get(name)
+        }
+        if points:
+            self.store.write_points(video, {image: points})
+        remarks = _remarks(after)
+        if remarks != _remarks(before):
+            write_notes(self.store.labels_dir / video, image, remarks)
+
+    def write_repeat(self, video: str, image: str, repeat: Mapping[str, Any]) -> None:
+        """Keep a repeat label beside, never among, the labels. Errors as in `write`."""
+        write_notes(self.store.labels_dir / video, image, {"repeat": dict(repeat)})
+
+    def _read(self, video: str, stamps: tuple[_Stamp, ...]) -> VideoFolder:
+        path = self.store.labels_dir / video
+        pictures = {
+            name: Picture(path / name, f"{mtime:x}-{size:x}")
+            for name, mtime, size, _ in stamps
+            if name.lower().endswith(IMAGE_SUFFIXES)
+        }
+        rows = {row.image: row for row in self.store.table(video).rows}
+        notes = read_notes(path)
+        states, repeats = {}, {}
+        for name in sorted_by_frame(pictures):
+            points = {}
+            for keypoint in self.store.keypoints:
+                point = rows[name].point(keypoint) if name in rows else None
+                if point is not None:
+                    points[keypoint] = point
+            states[name] = _state(points, notes.get(name, {}), self.store.keypoints)
+            if notes.get(name, {}).get("repeat"):
+                repeats[name] = notes[name]["repeat"]
+        return VideoFolder(video, {name: pictures[name] for name in states}, states, repeats)
+
+    def _stamps(self, folder: Path) -> tuple[_Stamp, ...]:
+        """Name, time, size and inode of every file that says something about the folder's frames."""
+        stamps = []
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                is_picture = entry.name.lower().endswith(IMAGE_SUFFIXES)
+                is_labels = entry.name.startswith("CollectedData_") and entry.name.endswith(".csv")
+                if entry.name.startswith(".") or not (is_picture or is_labels or entry.name == NOTES_FILE):
+                    continue
+                if entry.is_symlink() and not self._is_inside(Path(entry.path)):
+                    if is_picture:
+                        continue
+                    raise LabelError(f"{entry.path}: expected a file of the project, got a link out of it")
+                try:
+                    status = entry.stat()
+                except FileNotFoundError:
+                    continue  # replaced or removed meanwhile, or a link to nowhere
+                if stat.S_ISREG(status.st_mode) and _is_text(entry.name):
+                    stamps.append((entry.name, status.st_mtime_ns, status.st_size, status.st_ino))
+        return tuple(sorted(stamps))
+
+    def _is_inside(self, path: Path) -> bool:
+        return Path(os.path.realpath(path)).is_relative_to(self._root)
+
+    def _stamp_of_settings(self) -> int:
+        return (self._root / SETTINGS_FILE).stat().st_mtime_ns
+
+
+def _state(
+    points: Mapping[str, tuple[float, float]], entry: Remarks, keypoints: tuple[str, ...]
+) -> FrameState:
+    # A point that another program has placed since is visible, whatever was said before.
+    hidden = tuple(k for k in keypoints if k in entry.get("not_visible", []) and k not in points)
+    note = entry.get("note", "")
+    return FrameState(
+        points,
+        hidden,
+        note if isinstance(note, str) else "",
+        entry.get("flagged") is True,
+        entry.get("skipped") is True,
+    )
+
+
+def _remarks(state: FrameState) -> dict[str, Any]:
+    return {
+        "not_visible": list(state.not_visible),
+        "note": state.note,
+        "flagged": state.flagged,
+        "skipped": state.skipped,
+    }
+
+
+def _is_text(name: str) -> bool:
+    """Whether a file name is text, which it must be to go into JSON and an address."""
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        return False
+    return True

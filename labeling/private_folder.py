@@ -1,0 +1,104 @@
+"""<project>/.bendtrack/: what belongs to the labelling server alone. Secret, ports, lock; journal and caches lie there.
+
+It can be deleted at any time: what is lost is the undo history. No label is in it alone.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from ..tracker.atomic import atomic_write_text
+from ..tracker.errors import ProjectError
+
+try:
+    import fcntl
+except ImportError:  # Windows: one server a project, which its own lock serves
+    fcntl = None  # type: ignore[assignment]
+
+_PORTS_KEPT = 4
+
+
+class PrivateFolder:
+    """The project's private folder, readable by its owner only.
+
+    Parameters
+    ----------
+    root : the project's folder
+
+    Raises
+    ------
+    ProjectError
+        The name is taken by a link or a file.
+    OSError
+        It cannot be made.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.path = root / ".bendtrack"
+        if self.path.is_symlink() or (self.path.exists() and not self.path.is_dir()):
+            raise ProjectError(f"{self.path}: expected a folder of bendtrack's own, got something else")
+        self.path.mkdir(mode=0o700, exist_ok=True)
+        self.path.chmod(0o700)
+        if not (self.path / ".gitignore").exists():
+            (self.path / ".gitignore").write_text("*\n", encoding="utf-8")
+        self._thread_lock = threading.RLock()
+        self._depth = 0
+
+    @contextmanager
+    def lock(self) -> Iterator[None]:
+        """Hold the project against every thread and every other server, until the block ends.
+
+        A process that is killed lets go. May be taken again inside.
+        """
+        with self._thread_lock:
+            self._depth += 1
+            descriptor = None
+            try:
+                if self._depth == 1 and fcntl is not None:
+                    descriptor = os.open(self.path / "lock", os.O_RDWR | os.O_CREAT, 0o600)
+                    with suppress(OSError):  # a file system without locks
+                        fcntl.flock(descriptor, fcntl.LOCK_EX)
+                yield
+            finally:
+                self._depth -= 1
+                if descriptor is not None:
+                    os.close(descriptor)
+
+    def secret(self) -> str:
+        """The session's secret, made at the first call; a page that knows it outlives the server."""
+        path = self.path / "secret"
+        with self.lock():
+            with suppress(FileNotFoundError):
+                path.chmod(0o600)
+                text = path.read_text(encoding="ascii", errors="replace").strip()
+                if len(text) >= 32 and text.isascii() and text.replace("-", "").replace("_", "").isalnum():
+                    return text
+                path.unlink()  # cut short, or not ours
+            text = secrets.token_urlsafe(32)
+            descriptor = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600)
+            with open(descriptor, "w", encoding="ascii") as file:
+                file.write(text)
+                file.flush()
+                os.fsync(file.fileno())
+            return text
+
+    def ports(self) -> list[int]:
+        """Ports that this project was served on, the first first: pages may be waiting there."""
+        try:
+            found = json.loads((self.path / "ports.json").read_bytes())
+        except (OSError, ValueError):
+            return []
+        return [port for port in found if isinstance(port, int)] if isinstance(found, list) else []
+
+    def remember_port(self, port: int) -> None:
+        """Keep a port for the next start."""
+        with self.lock():
+            ports = list(dict.fromkeys([*self.ports(), port]))[-_PORTS_KEPT:]
+            if ports != self.ports():
+                atomic_write_text(self.path / "ports.json", json.dumps(ports))

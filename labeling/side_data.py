@@ -1,0 +1,63 @@
+"""What CollectedData has no place for: labeled-data/<video>/bendtrack-notes.json, one for each video.
+
+Not visible, notes, flags, skipped frames, and repeat labels. DeepLabCut does not read it and is not disturbed
+by it. What is not understood in it is kept.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ..tracker.atomic import atomic_write_text
+from ..tracker.errors import LabelError
+
+NOTES_FILE = "bendtrack-notes.json"
+_FORMAT = "bendtrack-notes-1"
+
+Remarks = Mapping[str, Any]
+"""One image's entry: not_visible, note, flagged, skipped, repeat; each only where there is something."""
+
+
+def read_notes(folder: Path) -> dict[str, Remarks]:
+    """Image name -> its entry; empty without a file.
+
+    Raises
+    ------
+    LabelError
+        The file is not what `write_notes` writes.
+    """
+    path = folder / NOTES_FILE
+    try:
+        document = json.loads(path.read_bytes())
+    except FileNotFoundError:
+        return {}
+    except (ValueError, RecursionError) as error:
+        raise LabelError(f"{path}: expected JSON, got a mistake ({error})") from error
+    images = document.get("images") if isinstance(document, dict) else None
+    if not isinstance(images, dict) or document.get("format") != _FORMAT:
+        raise LabelError(f"{path}: expected bendtrack's notes ({_FORMAT}), got other JSON")
+    for image, entry in images.items():
+        wrong = not isinstance(entry, dict) or not isinstance(entry.get("not_visible", []), list)
+        if wrong or not isinstance(entry.get("repeat", {}), dict):
+            raise LabelError(f"{path}: {image}: expected an entry of bendtrack's, got {str(entry)[:60]}")
+    return images
+
+
+def write_notes(folder: Path, image: str, changes: Mapping[str, Any]) -> None:
+    """Set keys of one image's entry; a value that says nothing (None, False, "", []) takes the key away.
+
+    Raises
+    ------
+    LabelError
+        As `read_notes`.
+    OSError
+        The file cannot be written; the old one is then as it was.
+    """
+    images = read_notes(folder)
+    entry = {key: value for key, value in {**images.get(image, {}), **changes}.items() if value}
+    images = {**images, image: entry}
+    document = {"format": _FORMAT, "images": {name: e for name, e in sorted(images.items()) if e}}
+    atomic_write_text(folder / NOTES_FILE, json.dumps(document, indent=1, ensure_ascii=False) + "\n")

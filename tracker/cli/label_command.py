@@ -1,0 +1,100 @@
+"""The command that serves the labelling page: bendtrack label."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..errors import BendtrackError, CheckpointError
+from . import model_folders, talk
+from .project_commands import ProjectArgument
+
+if TYPE_CHECKING:
+    from ...labeling.predictions import Network
+    from ..project import Project
+    from ..types import Detector
+
+
+def label(
+    project: ProjectArgument,
+    port: Annotated[
+        int | None,
+        typer.Option(help="Where to listen.", show_default="as the last time, or any", min=1, max=65535),
+    ] = None,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Only say the address.")] = False,
+    model: Annotated[
+        str | None,
+        typer.Option(help="Network whose predictions are shown; 'none' for none.", show_default="the newest"),
+    ] = None,
+    repeats: Annotated[
+        float | None,
+        typer.Option(
+            help="Share of the labelled frames that comes back blind.", show_default="0.1", min=0, max=1
+        ),
+    ] = None,
+) -> None:
+    """Label frames on a page in the browser, served on this machine only.
+
+    Every edit is saved at once. Several pages, and several servers, can be open on one project.
+    """
+    from ...labeling.serving import serve_labelling
+    from ..project import Project
+
+    opened = Project.open(project)
+
+    def ready(new_address: Callable[[], str]) -> None:
+        if not no_browser:
+            _open_browser(new_address())
+        talk.show(f"Labelling {opened.root} at {new_address()}")
+        talk.say("The address opens the page once. Everything is saved at once; Ctrl+C ends the server.")
+
+    more = {} if repeats is None else {"repeat_share": repeats}
+    try:
+        serve_labelling(opened, port=port, network=_network(opened, model), ready=ready, **more)
+    except KeyboardInterrupt:
+        talk.say("Ended; all labels are saved.")  # the usual end, so status 0
+
+
+def _open_browser(address: str) -> None:
+    import threading
+    import webbrowser
+
+    # Some browsers are waited for by the call that opens them.
+    threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+
+
+def _network(project: Project, name: str | None) -> Network | None:
+    """The network of that name or the newest; None where there is none, or none is wanted."""
+    if name == "none" or (name is None and not _has_models(project.models_dir)):
+        return None
+    from ...labeling.predictions import Network
+
+    # Which file holds the weights is known to the package that needs seconds to load.
+    try:
+        folder = model_folders.chosen(project, name)
+    except CheckpointError:
+        if name is not None:
+            raise
+        return None
+    from ...models.checkpoint import WEIGHTS_FILE
+    from ..video import file_sha256
+
+    def load() -> Detector:
+        from ...models.detector import NetworkDetector
+
+        detector = NetworkDetector.load(folder)
+        missing = set(project.keypoints) - set(detector.keypoints)
+        if missing:
+            raise BendtrackError(
+                f"'{folder.name}' does not find {', '.join(sorted(missing))}: train a new network"
+            )
+        return detector
+
+    return Network(folder.name, file_sha256(folder / WEIGHTS_FILE), load)
+
+
+def _has_models(models_dir: Path) -> bool:
+    return models_dir.is_dir() and any(models_dir.iterdir())
