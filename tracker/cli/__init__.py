@@ -10,6 +10,7 @@ from collections.abc import Callable
 from .app import app
 from .demo_command import demo
 from .doctor_command import doctor
+from .frame_commands import frames
 from .label_command import label
 from .network_commands import evaluate, train
 from .project_commands import export_labels, import_labels, new
@@ -20,6 +21,7 @@ __all__ = ["main"]
 _COMMANDS: dict[str, Callable[..., None]] = {  # in the order of --help
     "demo": demo,
     "new": new,
+    "frames": frames,
     "import": import_labels,
     "export": export_labels,
     "label": label,

@@ -1,0 +1,73 @@
+"""Commands about pictures to label: frames, and labels check."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from . import talk
+from .project_commands import ProjectArgument
+from .video_commands import listed_videos
+
+
+class Spread(StrEnum):
+    """What the chosen frames are spread evenly over."""
+
+    PRESSURE = "pressure"
+    APPEARANCE = "appearance"
+    TIME = "time"
+
+
+def frames(
+    project: ProjectArgument,
+    videos: Annotated[
+        list[str], typer.Argument(help="Files, folders of videos, or patterns such as 'day1/*.mp4'.")
+    ],
+    actuator: Annotated[
+        str | None, typer.Option(help="Which actuator they show.", show_default="as bendtrack.toml says")
+    ] = None,
+    count: Annotated[int, typer.Option(help="New pictures of each actuator, over all its videos.")] = 30,
+    pressure: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Pressure log, on the video's clock. For several videos: once for each, in their order, or a"
+            " folder with logs named like the videos."
+        ),
+    ] = None,
+    by: Annotated[
+        Spread | None,
+        typer.Option(help="What to spread them over.", show_default="pressure with a log, else appearance"),
+    ] = None,
+) -> None:
+    """Choose frames to label that span the whole range of motion.
+
+    They are saved as pictures in labeled-data/. Blurred, damaged and equal frames are passed over. Once more, and
+    further frames fill the gaps that are left. Exit status 1 when a video could not be used.
+    """
+    from ...labeling.new_frames import By, add_frames
+    from ..project import Project
+    from . import progress_bars
+
+    report = add_frames(
+        Project.open(project),
+        listed_videos(videos),
+        count=count,
+        by=None if by is None else By(by),
+        pressure_logs=pressure or (),
+        actuator=actuator,
+        counting=progress_bars.counting,
+    )
+    for warning in report.warnings:
+        talk.warn(warning)
+    for video, pictures in report.saved.items():
+        talk.say(f"{video}: {len(pictures)} pictures -> {pictures[0].parent}")
+    for name, (new, in_all) in report.actuators.items():
+        talk.say(f"{name}: {new} new pictures to label, {in_all} in all")
+    for video, problem in report.failed.items():
+        talk.complain(f"{video}: {problem}")
+    if report.failed:
+        raise typer.Exit(1 if report.saved else 2)
+    talk.say(f"Next: bendtrack label {project}")
