@@ -126,6 +126,7 @@ class CyclingTrial:
             "pressure_max_kpa": self.peak_kpa,
             "period_s": 1 / self.frequency_hz,
             "first_angle_max_deg": float(self._peaks_deg[0]),
+            "ratio_per_second_shift": (self.shifted_ratio(1e-3) - self.shifted_ratio(-1e-3)) / 2e-3,
             "control_rmse_kpa": rmse_kpa,
             "control_nrmse": rmse_kpa / self.peak_kpa,
         }

@@ -22,7 +22,7 @@ from ..types import FloatArray
 from . import study_plan
 from .cycling import CyclingTrial
 from .log_files import write_csv_log, write_matlab_5_log, write_matlab_73_log, write_simulink_log
-from .recording import FRAME_RATE, PRESSURE_NOISE_KPA, Recording, record
+from .recording import PRESSURE_NOISE_KPA, Recording, record
 from .stairs import StaircaseTrial
 
 # Cycles of one actuator are nearly equal (the paper's leaves overlap): share of the largest angle, and ratio.
@@ -32,6 +32,7 @@ _RATIO_SD = 0.001
 _MISSING_SHARE = 0.001
 # The camera starts up to this long after the log.
 _LATEST_START_S = 0.8
+_KPA_IN_PSI = 6.894757293168
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ def simulate_study(
 
     All of it are 54 dynamic trials of 12 cycles and four staircases: about 200,000 frames at 30 per second and
     logs at 400 Hz. Most logs are CSV; every ninth is MATLAB 5, MATLAB 7.3, Simulink's structure with time, or a
-    CSV in psi and milliseconds.
+    CSV in psi and milliseconds. Dynamic trials are given their delay, static ones are to find it in the first step.
 
     Parameters
     ----------
@@ -110,36 +111,15 @@ def simulate_study(
         (folder / part).mkdir(parents=True, exist_ok=True)
     entries, truths, frames = [], {}, 0
     for planned in _plan(seed, designs, frequencies_hz, static):
-        trial, name = planned.trial, planned.name
         rng = np.random.default_rng([planned.seed, 41])
         delay_s = -rng.uniform(0, _LATEST_START_S)
         error_s = rng.normal(0, delay_sd_s)
-        given_s = round(delay_s + (error_s if delay_error else 0.0), 6)
-        recording = record(trial, seed=planned.seed, delay_s=delay_s, missing_share=_MISSING_SHARE)
-        write_results(recording.angle_table(name), folder / "angles", name)
-        entry: dict[str, Any] = {"name": name, "design": planned.design}
-        truth: dict[str, Any] = {"design": planned.design, "delay_s": delay_s, "given_delay_s": given_s}
-        if isinstance(trial, CyclingTrial):
-            nominal = {"frequency_hz": trial.frequency_hz, "pressure_pp_kpa": trial.peak_kpa}
-            entry |= {"kind": "dynamic", **nominal}
-            moved = trial.shifted_ratio(1 / FRAME_RATE) - trial.shifted_ratio(-1 / FRAME_RATE)
-            truth |= {
-                "kind": "dynamic",
-                **nominal,
-                "cycles": trial.cycles,
-                "ratio_per_frame_shift": moved / 2,
-            }
-        else:
-            entry["kind"] = truth["kind"] = "static"
-        entry["angles"] = f"angles/{name}.csv"
-        entry["log"] = _write_log(folder, name, recording, planned.index)
-        entry["delay"] = {"delay_s": given_s, "sd_s": delay_sd_s}
-        if isinstance(trial, StaircaseTrial) and trial.model_rmse_deg is not None:
-            entry["model"] = f"models/{name}.csv"
-            pressure_kpa, angle_deg = trial.model_curve()
-            write_csv_log(folder / entry["model"], {"pressure_kpa": pressure_kpa, "angle_deg": angle_deg})
-        entries.append(entry)
-        truths[name] = truth | trial.truth(PRESSURE_NOISE_KPA)
+        given = {"delay_s": round(delay_s + (error_s if delay_error else 0.0), 6), "sd_s": delay_sd_s}
+        recording = record(planned.trial, seed=planned.seed, delay_s=delay_s, missing_share=_MISSING_SHARE)
+        truth = planned.trial.truth(PRESSURE_NOISE_KPA)
+        common = {"design": planned.design, **_nominal(planned.trial)}
+        entries.append({"name": planned.name, **common, **_write(folder, planned, recording, given)})
+        truths[planned.name] = {**common, "delay_s": delay_s, **truth}
         frames += len(recording.frame_time_s)
     whole = {"frames": frames, "trials": truths, **_tables(designs, frequencies_hz)}
     study = SimulatedStudy(folder, whole)
@@ -185,6 +165,31 @@ def _own_seed(seed: int, index: int) -> int:
     return int(np.random.SeedSequence([seed, index]).generate_state(1)[0])
 
 
+def _nominal(trial: CyclingTrial | StaircaseTrial) -> dict[str, Any]:
+    if isinstance(trial, StaircaseTrial):
+        return {"kind": "static"}
+    return {"kind": "dynamic", "frequency_hz": trial.frequency_hz, "pressure_pp_kpa": trial.peak_kpa}
+
+
+def _write(
+    folder: Path, planned: _Planned, recording: Recording, given_delay: dict[str, float]
+) -> dict[str, Any]:
+    """Write the files of a trial; returns what the study file says of them."""
+    name, trial = planned.name, planned.trial
+    write_results(recording.angle_table(name), folder / "angles", name)
+    entry: dict[str, Any] = {
+        "angles": f"angles/{name}.csv",
+        "log": _write_log(folder, name, recording, planned.index),
+    }
+    if isinstance(trial, CyclingTrial):
+        return {**entry, "sync": {"method": "given delay", **given_delay}}
+    if trial.model_rmse_deg is not None:
+        entry["model"] = f"models/{name}.csv"
+        pressure_kpa, angle_deg = trial.model_curve()
+        write_csv_log(folder / entry["model"], {"pressure_kpa": pressure_kpa, "angle_deg": angle_deg})
+    return {**entry, "sync": {"method": "sync event", "log_event": "pressure", "video_event": "angle"}}
+
+
 def _write_log(folder: Path, name: str, recording: Recording, index: int) -> str:
     """Write the log in one of the forms; returns its path in the folder."""
     columns: dict[str, FloatArray] = {
@@ -210,9 +215,6 @@ def _write_log(folder: Path, name: str, recording: Recording, index: int) -> str
     else:
         write_csv_log(folder / path, columns)
     return path
-
-
-_KPA_IN_PSI = 6.894757293168
 
 
 def _tables(designs: Sequence[str], frequencies_hz: Sequence[float]) -> dict[str, Any]:
