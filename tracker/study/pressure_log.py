@@ -6,7 +6,7 @@ How files give columns is in `csv_log.py` and `matlab_log.py`; how the log comes
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ from .log_columns import (
     time_column,
 )
 from .log_faults import pressure_faults
+from .log_format import LogFormat
 from .matlab_log import matlab_columns
 from .units import KPA_IN, PRESSURE_UNITS, SECONDS_IN, factor_to_kpa, known_unit
 
@@ -37,32 +38,6 @@ _EPOCH = 1e9
 _EPOCH_UNITS = ((1e18, "ns"), (1e15, "us"), (1e12, "ms"), (_EPOCH, "s"))
 _DAY_S = 86_400.0
 _MIN_SAMPLES = 10
-
-
-@dataclass(frozen=True)
-class LogFormat:
-    """What a user says about logs. What is left None is found in the file, or refused where it cannot be.
-
-    Attributes
-    ----------
-    time_column, pressure_column, reference_column, sync_column : a column's name, or its number from 1
-    time_unit, pressure_unit : where the header does not say
-    rate_hz : samples a second, for a log without times
-    gain_kpa_per_v : of a sensor whose voltage was logged
-    offset_kpa : added to the pressure (and to the reference) after its unit
-    lag_s : how late the logged pressure is, by a filter before the log; taken off its times
-    """
-
-    time_column: str | int | None = None
-    pressure_column: str | int | None = None
-    reference_column: str | int | None = None
-    sync_column: str | int | None = None
-    time_unit: str | None = None
-    pressure_unit: str | None = None
-    rate_hz: float | None = None
-    gain_kpa_per_v: float | None = None
-    offset_kpa: float = 0.0
-    lag_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -146,7 +121,7 @@ def read_pressure_log(path: str | Path, log_format: LogFormat | None = None) -> 
                 "sync": None if sync is None else sync.name,
             },
             "pressure_unit": unit,
-            "format": {key: value for key, value in asdict(log_format).items() if value is not None},
+            "format": log_format.model_dump(exclude_defaults=True),
         },
     )
 
@@ -261,13 +236,12 @@ def _agreed(written: str | None, given: str | None, what: str, where: str, name:
     """The unit in the header or the one that the user gives; a contradiction is refused."""
     if given is None:
         return written
-    meant = known_unit(given) or given
-    if written is not None and known_unit(written) is not None and written != meant:
+    if written is not None and known_unit(written) is not None and written != given:
         raise PressureLogError(
             f"{where}: column '{name}' is in {written} by its header, {what}_unit says {given}; "
             f"leave {what}_unit out, or mend the header"
         )
-    return meant
+    return given
 
 
 def _beside(
@@ -277,7 +251,7 @@ def _beside(
     own = replace(reference, unit=reference.unit or pressure.unit)
     # A wave asked for in kPa stands beside a sensor's voltage.
     if own.unit in KPA_IN and own.unit != pressure.unit:
-        asked = replace(asked, pressure_unit=None, gain_kpa_per_v=None, offset_kpa=0.0)
+        asked = LogFormat()
     kpa, _ = _kpa(own, asked, str(path))
     if len(kpa) == len(seconds) and (
         reference.time is None

@@ -1,0 +1,66 @@
+"""Designs of a study: what they are called in figures and tables, and the colour that each keeps in all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+# The study's own (its figures' legends); yellow darkened so that a line of it can be seen on white.
+STUDY_COLOURS = {
+    "original": "#d62728",
+    "mid-side walls thicker": "#f06eaa",
+    "mid-top wall thicker": "#e0b000",
+    "mid-length smaller": "#2ca02c",
+    "mid-length larger": "#1f77b4",
+    "mid-width smaller": "#7b3fb5",
+    "mid-width larger": "#222222",
+    "mid-height smaller": "#8c564b",
+    "mid-height larger": "#ff7f0e",
+}
+# For designs of other studies: Okabe and Ito's palette, then Tol's muted one, which colour-blind eyes tell apart.
+OTHER_COLOURS = (
+    *("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#332288", "#117733"),
+    *("#882255", "#88ccee", "#999933", "#aa4499", "#44aa99", "#661100", "#6699cc", "#777777"),
+)
+
+
+@dataclass(frozen=True)
+class DesignSettings:
+    """How a design is shown: its label, and its colour as "#rrggbb"."""
+
+    label: str
+    colour: str
+
+
+def plain_name(name: str) -> str:
+    """A design's name as file names spell it, whatever their signs: "Mid_Width-smaller" is "mid width smaller".
+
+    >>> plain_name("Mid_Width-smaller")
+    'mid width smaller'
+    """
+    return " ".join("".join(sign if sign.isalnum() else " " for sign in name.lower()).split())
+
+
+def known_design(name: str) -> str | None:
+    """The study's design that a name means, None if it is none of them."""
+    return next((known for known in STUDY_COLOURS if plain_name(known) == plain_name(name)), None)
+
+
+def design_colours(names: Iterable[str], chosen: dict[str, str]) -> dict[str, str]:
+    """A colour for each design: the chosen one, the study's own, or the next of `OTHER_COLOURS` in this order.
+
+    >>> design_colours(["original", "ours", "theirs"], {"ours": "#000000"})
+    {'original': '#d62728', 'ours': '#000000', 'theirs': '#0072b2'}
+    """
+    colours: dict[str, str] = {}
+    n_others = 0
+    for name in names:
+        known = known_design(name)
+        if name in chosen:
+            colours[name] = chosen[name]
+        elif known is not None:
+            colours[name] = STUDY_COLOURS[known]
+        else:
+            colours[name] = OTHER_COLOURS[n_others % len(OTHER_COLOURS)]
+            n_others += 1
+    return colours

@@ -1,0 +1,59 @@
+"""What a user may say about pressure logs: which columns, units, rate, gain. How they are read is `pressure_log.py`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field, field_validator
+from pydantic_core import PydanticCustomError
+
+from ..toml_files import Section
+from .units import PRESSURE_UNITS, SECONDS_IN, known_unit
+
+ColumnChoice = Annotated[int, Field(ge=1)] | str
+
+
+class LogFormat(Section):
+    """What a user says about logs. What is left out is found in the file, or refused where it cannot be.
+
+    Attributes
+    ----------
+    time_column, pressure_column, reference_column, sync_column : a column's name, or its number from 1
+    time_unit, pressure_unit : where the header does not say
+    rate_hz : samples a second, for a log without times
+    gain_kpa_per_v : of a sensor whose voltage was logged
+    offset_kpa : added to the pressure after its unit (and to a reference from the same sensor's scale)
+    lag_s : how late the logged pressure is, by a filter before the log; taken off its times
+    """
+
+    time_column: ColumnChoice | None = None
+    pressure_column: ColumnChoice | None = None
+    reference_column: ColumnChoice | None = None
+    sync_column: ColumnChoice | None = None
+    time_unit: str | None = None
+    pressure_unit: str | None = None
+    rate_hz: float | None = Field(default=None, gt=0)
+    gain_kpa_per_v: float | None = None
+    offset_kpa: float = 0.0
+    lag_s: float = Field(default=0.0, ge=0)
+
+    @field_validator("time_unit")
+    @classmethod
+    def _time_unit(cls, value: str | None) -> str | None:
+        return _one_of(value, SECONDS_IN, "time")
+
+    @field_validator("pressure_unit")
+    @classmethod
+    def _pressure_unit(cls, value: str | None) -> str | None:
+        return _one_of(value, PRESSURE_UNITS, "pressure")
+
+
+def _one_of(value: str | None, units: tuple[str, ...] | dict[str, float], what: str) -> str | None:
+    unit = None if value is None else known_unit(value)
+    if value is not None and unit not in units:
+        raise PydanticCustomError(
+            "unit",
+            "expected a unit of {what} ({units}), got '{value}'",
+            {"what": what, "units": ", ".join(units), "value": value},
+        )
+    return unit
