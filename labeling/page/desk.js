@@ -1,0 +1,134 @@
+// Which frame is open: fetching it with its picture, going on to the next, and keeping up with what the server says.
+
+import { Refused, Unreachable, get } from "./api.js";
+import { byId } from "./elements.js";
+import { say } from "./message.js";
+
+const NEIGHBOURS = [1, 2, -1, 3];
+const LOADING_AFTER_MS = 180;
+
+export class Desk {
+  /** The id of the frame that is open or on its way. */
+  current = null;
+  #project;
+  #list;
+  #open;
+  #queue;
+  #cache;
+  #stage;
+  #filmstrip;
+  #attempt = 0;
+
+  constructor({ project, list, open, queue, cache, stage, filmstrip }) {
+    this.#project = project;
+    this.#list = list;
+    this.#open = open;
+    this.#queue = queue;
+    this.#cache = cache;
+    this.#stage = stage;
+    this.#filmstrip = filmstrip;
+  }
+
+  /** Open a frame. */
+  async go(id) {
+    const row = this.#list.get(id);
+    if (!row) return;
+    this.#queue.release();
+    const attempt = ++this.#attempt;
+    const asked = performance.now();
+    this.current = id;
+    this.#open.locked = true;
+    this.#filmstrip.setCurrent(id);
+    const slow = setTimeout(() => (byId("loading").hidden = false), LOADING_AFTER_MS);
+    try {
+      const picture = this.#cache.get(row.image_url);
+      const [frame, bitmap] = await Promise.all([this.#fetched(row), picture]);
+      if (attempt !== this.#attempt) return;
+      this.#stage.show(bitmap);
+      this.#open.open(frame, this.#project.keypoints, this.#queue.latest(id)?.body);
+      history.replaceState(null, "", `#${encodeURIComponent(id)}`);
+      document.title = `${row.frame ?? row.image} · ${this.#project.name} · bendtrack`;
+      performance.measure("frame opened", { start: asked });
+      this.#prefetch(frame);
+    } catch (error) {
+      if (attempt !== this.#attempt) return;
+      this.#stage.clear();
+      this.#open.close();
+      say(this.#complaint(error, row), 15000);
+    } finally {
+      clearTimeout(slow);
+      if (attempt === this.#attempt) byId("loading").hidden = true;
+    }
+  }
+
+  /** The frame `steps` on in the filmstrip. */
+  step(steps) {
+    const id = this.#list.neighbour(this.current, steps);
+    if (id) this.go(id);
+    else say(steps > 0 ? "This is the last frame." : "This is the first frame.");
+  }
+
+  /** Take in a frame that came with an answer, going to it where it is another one. */
+  async show(frame) {
+    this.#list.update(frame);
+    if (frame.id === this.#open.frame?.id) this.#open.adopt(frame, this.#queue.latest(frame.id)?.body);
+    else await this.go(frame.id);
+  }
+
+  /** Something outside this tab changed a frame. */
+  async refresh(id) {
+    const row = this.#list.get(id);
+    if (!row) return;
+    try {
+      const frame = await get(row.url);
+      this.#list.update(frame);
+      const unsent = this.#queue.latest(id);
+      const changed = frame.revision !== this.#open.frame?.revision;
+      if (id !== this.#open.frame?.id || this.#open.isRepeat) return;
+      this.#open.adopt(frame, unsent?.body);
+      if (changed && !unsent) say("Changed in another tab, or by someone else.");
+    } catch (error) {
+      if (!(error instanceof Unreachable || error instanceof Refused)) throw error;
+    }
+  }
+
+  /** What was worked out for the open frame, the ghosts above all, once more. */
+  async refreshGhosts() {
+    const row = this.#list.get(this.#open.frame?.id);
+    if (!row || this.#open.isRepeat) return;
+    const frame = await get(row.url).catch(() => null);
+    if (frame) this.#open.adopt(frame, this.#queue.latest(frame.id)?.body);
+  }
+
+  /** Wait for nothing else: another frame is being opened by someone else (a repeat). */
+  leave() {
+    this.#attempt++;
+    byId("loading").hidden = true;
+  }
+
+  /** A frame object; while the server is away, what is known of it here, so that labelling goes on. */
+  async #fetched(row) {
+    try {
+      const frame = await get(row.url);
+      this.#list.update(frame);
+      return frame;
+    } catch (error) {
+      if (!(error instanceof Unreachable) || !row.points) throw error;
+      return { ghosts: {}, ghost_source: null, previous: null, prefetch: [], ...row };
+    }
+  }
+
+  #prefetch(frame) {
+    const near = NEIGHBOURS.map((steps) => this.#list.neighbour(frame.id, steps)).filter(Boolean);
+    const todo = this.#list.nextToDo(frame.id);
+    const addresses = [...near, ...(todo ? [todo] : [])].map((id) => this.#list.get(id).image_url);
+    this.#cache.prefetch([...new Set([...addresses.slice(0, 2), ...(frame.prefetch ?? []), ...addresses])]);
+  }
+
+  #complaint(error, row) {
+    if (error instanceof Unreachable) return "The server does not answer; this frame opens when it is back.";
+    if (error instanceof Refused && error.status === 404) return `${row.id} is no longer there.`;
+    if (error instanceof Refused) return error.message;
+    return `${row.image}: ${error.message}`;
+  }
+}

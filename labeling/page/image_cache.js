@@ -1,0 +1,67 @@
+// Decoded pictures, ready to be drawn: those seen last and those wanted next, within a bounded memory.
+
+const BUDGET_BYTES = 400e6; // a dozen 4K frames
+const LEAST_KEPT = 3;
+
+export class ImageCache {
+  #entries = new Map(); // address -> {promise, bytes, bitmap}, the least recently used first
+  #wanted = [];
+  #prefetching = false;
+
+  /** The picture at an address, as an ImageBitmap. */
+  get(address) {
+    let entry = this.#entries.get(address);
+    if (entry) this.#entries.delete(address);
+    else entry = this.#load(address);
+    this.#entries.set(address, entry);
+    return entry.promise;
+  }
+
+  /** Decode these, one at a time, in this order, while there is nothing else to do. */
+  async prefetch(addresses) {
+    this.#wanted = addresses.filter((address) => !this.#entries.has(address));
+    if (this.#prefetching) return;
+    this.#prefetching = true;
+    while (this.#wanted.length) await this.get(this.#wanted.shift()).catch(() => {});
+    this.#prefetching = false;
+  }
+
+  #load(address) {
+    const entry = { promise: null, bytes: 0, bitmap: null };
+    entry.promise = decoded(address).then(
+      (bitmap) => {
+        entry.bitmap = bitmap;
+        entry.bytes = 4 * bitmap.width * bitmap.height;
+        this.#evict();
+        return bitmap;
+      },
+      (error) => {
+        this.#entries.delete(address);
+        throw error;
+      },
+    );
+    return entry;
+  }
+
+  #evict() {
+    let bytes = 0;
+    for (const entry of this.#entries.values()) bytes += entry.bytes;
+    // Not closed: the oldest may still be on the screen. The browser frees a picture that nothing refers to.
+    for (const [address, entry] of this.#entries) {
+      if (bytes <= BUDGET_BYTES || this.#entries.size <= LEAST_KEPT) return;
+      bytes -= entry.bytes;
+      this.#entries.delete(address);
+    }
+  }
+}
+
+async function decoded(address) {
+  const response = await fetch(address);
+  if (!response.ok) throw new Error(`the picture is not there (${response.status})`);
+  // As stored: labels belong to the pixels, whatever orientation or colour profile the file claims.
+  return createImageBitmap(await response.blob(), {
+    imageOrientation: "none",
+    colorSpaceConversion: "none",
+    premultiplyAlpha: "none",
+  });
+}

@@ -1,0 +1,231 @@
+// The page from the start: fetches the project, makes the parts and connects them.
+
+import { makeActions } from "./actions.js";
+import { Refused, get, send } from "./api.js";
+import { chooseVersion } from "./conflict_dialog.js";
+import { connectControls } from "./controls.js";
+import { Desk } from "./desk.js";
+import { byId } from "./elements.js";
+import { hideEmpty, showEmpty } from "./empty_page.js";
+import { Filmstrip } from "./filmstrip.js";
+import { FrameList } from "./frame_list.js";
+import { History } from "./history.js";
+import { ImageCache } from "./image_cache.js";
+import { listenToKeys } from "./keys.js";
+import { say, setBanner } from "./message.js";
+import { OpenFrame } from "./open_frame.js";
+import { Options } from "./options.js";
+import { Pointer } from "./pointer.js";
+import { PointsPanel } from "./points_panel.js";
+import { showAngle, showFrameState, showHint, showPosition } from "./readout.js";
+import { RepeatRound } from "./repeat_round.js";
+import { showSaving } from "./save_indicator.js";
+import { SaveQueue } from "./save_queue.js";
+import { doubts, makeScene } from "./scene.js";
+import { listen } from "./server_events.js";
+import { Stage } from "./stage.js";
+import { inherit, tabIdentity } from "./tab_identity.js";
+import { startTheme } from "./theme.js";
+import { Tone } from "./tone.js";
+import { View } from "./view.js";
+
+const LIST_AGAIN_MS = 1500;
+
+startTheme(byId("theme"));
+start().catch((error) => {
+  const noSession = error instanceof Refused && [401, 403].includes(error.status);
+  if (noSession) showEmpty("This page has no session", "Open the address that this command prints:", "bendtrack label PROJECT");
+  else showEmpty("The server does not answer", "Start it, then load this page again:", "bendtrack label PROJECT");
+  if (!noSession) console.error(error);
+});
+
+async function start() {
+  const project = await get("/api/project");
+  byId("project-name").textContent = project.name;
+  document.title = `${project.name} · bendtrack`;
+
+  const identity = tabIdentity(project);
+  const queue = new SaveQueue(identity.queueKey, (edit) => send("PUT", edit.url, sentBody(edit, identity.clientId)));
+  const open = new OpenFrame((frame, body, merge) => {
+    if (frame.repeat) return; // saved when all of it is placed
+    queue.add({ kind: "frame", id: frame.id, url: frame.url, body, base_revision: frame.revision }, merge);
+  });
+  const list = new FrameList();
+  const view = new View();
+  const options = new Options();
+  const cache = new ImageCache();
+  const pointer = new Pointer(byId("stage"), open, view, options);
+  const stage = new Stage(byId("stage"), view, () => makeScene(project, { open, view, pointer, options }));
+  const history = new History(queue, identity.clientId);
+  const filmstrip = new Filmstrip(list, project.keypoints.length, (id, { keepFocus }) => {
+    desk.go(id);
+    if (!keepFocus) byId("stage").focus({ preventScroll: true });
+  });
+  const desk = new Desk({ project, list, open, queue, cache, stage, filmstrip });
+  const repeats = new RepeatRound({ open, queue, cache, stage, desk, finished: afterRepeats });
+  const tone = new Tone();
+  const pointsPanel = new PointsPanel(project.keypoints, open);
+  const actions = makeActions({ project, list, open, queue, desk, view, stage, pointer, options, history, repeats, reload });
+  connectControls({ actions, open, queue, tone, options });
+  listenToKeys(actions);
+
+  async function reload() {
+    const frames = await get("/api/frames");
+    list.load(frames);
+    const { due } = frames.repeats;
+    byId("repeats-due").hidden = !due;
+    byId("repeats-due").textContent = `${due} to repeat, blind`;
+    return frames;
+  }
+
+  function afterRepeats(spread) {
+    if (spread) say(`Your own spread: ${spread.px.toFixed(2)} px${spread.deg === null ? "" : `, ${spread.deg.toFixed(2)}°`} (I shows more).`, 8000);
+    desk.go(desk.current);
+    reload().catch(() => {});
+  }
+
+  const refreshMarks = () => {
+    stage.redraw("marks");
+    showAngle(project, open);
+    showHint(project, open, Boolean(options.keyboardCursor));
+    showFrameState(open);
+    pointsPanel.update(doubts(open, view.picture));
+  };
+  for (const name of ["open", "points", "selection"]) open.addEventListener(name, refreshMarks);
+  open.addEventListener("open", () => (options.keyboardCursor = null));
+  options.addEventListener("change", () => stage.redraw("marks"));
+  const followPointer = () => {
+    stage.redraw("marks");
+    showPosition(view, options.keyboardCursor ?? pointer.over);
+  };
+  view.addEventListener("change", followPointer);
+  pointer.addEventListener("change", () => {
+    followPointer();
+    showHint(project, open, Boolean(options.keyboardCursor));
+  });
+  pointer.addEventListener("missed", ({ detail }) => {
+    say(detail.complete ? "All points are set. Drag one to move it." : "That is outside of the picture.");
+  });
+  pointer.addEventListener("cancelled", () => open.adopt(open.frame, queue.latest(open.frame?.id)?.body));
+
+  queue.addEventListener("status", () => showSaving(queue.status));
+  queue.addEventListener("saved", ({ detail: { edit, answer } }) => {
+    if (edit.kind !== "frame") return;
+    list.update(answer);
+    open.adopt(answer, queue.latest(answer.id)?.body);
+    settleSign();
+  });
+  queue.addEventListener("refused", ({ detail: { edit, error } }) => {
+    say(`This edit cannot be saved (${error.message}); the frame is shown as it is on disk.`, 10000);
+    if (edit.kind === "frame") desk.refresh(edit.id);
+  });
+  queue.addEventListener("conflict", settleConflicts);
+  addEventListener("beforeunload", (event) => {
+    queue.release();
+    if (queue.status.waiting && queue.status.state !== "saving") event.preventDefault();
+  });
+
+  let choosing = false;
+  async function settleConflicts() {
+    if (choosing) return;
+    choosing = true;
+    for (let [id] = queue.conflicts; id; [id] = queue.conflicts) {
+      if (repeats.active) repeats.leave();
+      if (desk.current !== id) await desk.go(id);
+      const theirs = queue.conflict(id);
+      const choice = await chooseVersion({
+        row: list.get(id),
+        mine: queue.latest(id).body,
+        theirs,
+        keypoints: project.keypoints,
+        bitmap: stage.bitmap,
+      });
+      list.update(theirs);
+      if (choice === "mine") queue.keepMine(id);
+      else queue.takeTheirs(id);
+      open.adopt(theirs, queue.latest(id)?.body);
+    }
+    choosing = false;
+  }
+
+  /** With sign "auto" the labels decide which way is positive. */
+  let signAsked = false;
+  async function settleSign() {
+    if (signAsked) return;
+    signAsked = true;
+    await new Promise((resolve) => setTimeout(resolve, LIST_AGAIN_MS));
+    signAsked = false;
+    const fresh = await get("/api/project").catch(() => null);
+    if (!fresh || fresh.definition.sign === project.definition.sign) return;
+    project.definition = fresh.definition;
+    refreshMarks();
+  }
+
+  let listAgain = null;
+  const reloadSoon = () => {
+    listAgain ??= setTimeout(() => {
+      listAgain = null;
+      reload().catch(() => {});
+    }, LIST_AGAIN_MS);
+  };
+
+  inherit(identity, (edits) => queue.adopt(edits));
+  await openFirst();
+
+  async function openFirst() {
+    const frames = await reload();
+    if (!list.rows.length) {
+      showEmpty("No frames to label yet", "Choose some from your videos; they appear here by themselves:", "bendtrack frames PROJECT VIDEO…");
+      return;
+    }
+    hideEmpty();
+    const wanted = decodeURIComponent(location.hash.slice(1));
+    await desk.go(list.get(wanted) ? wanted : (frames.next ?? list.rows[0].id));
+    if (document.activeElement === document.body) byId("stage").focus({ preventScroll: true });
+  }
+
+  let serverSeen = false;
+  listen({
+    async connected() {
+      setBannerUnlessRepeating(null);
+      queue.setConnected(true);
+      if (serverSeen) {
+        await reload().catch(() => {});
+        if (open.frame) desk.refresh(open.frame.id);
+        else if (list.rows.length) openFirst();
+      }
+      serverSeen = true;
+    },
+    async lost() {
+      queue.setConnected(false);
+      const error = await get("/api/project").catch((reason) => reason);
+      if (error instanceof Refused && [401, 403].includes(error.status)) {
+        setBannerUnlessRepeating("This page's session has ended. Open the address that bendtrack label prints; unsent edits are kept and go with it.");
+      }
+    },
+    changed({ id, edit_id: editId }) {
+      if (queue.isOwn(editId) || history.isOwn(editId)) return;
+      if (list.get(id)) desk.refresh(id);
+      else reloadSoon();
+    },
+    async frames() {
+      const none = !list.rows.length;
+      if (none) await openFirst();
+      else await reload();
+    },
+    predicted({ id }) {
+      if (id === open.frame?.id) desk.refreshGhosts();
+      reloadSoon();
+    },
+    model: reloadSoon,
+  });
+
+  function setBannerUnlessRepeating(words) {
+    if (!repeats.active) setBanner(words, [], "trouble");
+  }
+}
+
+function sentBody(edit, clientId) {
+  const body = { ...edit.body, edit_id: edit.edit_id, client_id: clientId };
+  return edit.kind === "frame" ? { ...body, base_revision: edit.base_revision } : body;
+}

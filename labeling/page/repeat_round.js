@@ -1,0 +1,83 @@
+// Blind repeats: labelled frames come back without their points, and how far the second labels lie from the first
+// is the labeller's own spread. Nothing of the first labels is fetched or shown meanwhile.
+
+import { get } from "./api.js";
+import { byId } from "./elements.js";
+import { say, setBanner } from "./message.js";
+
+export class RepeatRound {
+  active = false;
+  #open;
+  #queue;
+  #cache;
+  #stage;
+  #finished;
+  #done = 0;
+
+  /** finished(spread|null): the round is over. */
+  constructor({ open, queue, cache, stage, finished }) {
+    this.#open = open;
+    this.#queue = queue;
+    this.#cache = cache;
+    this.#stage = stage;
+    this.#finished = finished;
+    queue.addEventListener("saved", ({ detail }) => {
+      if (detail.edit.kind === "repeat") this.spread = detail.answer.spread;
+    });
+  }
+
+  /** Start, or go on with the next frame. */
+  async next() {
+    let frame = null;
+    try {
+      frame = await get("/api/repeats/next");
+      if (frame) this.#stage.show(await this.#cache.get(frame.image_url));
+    } catch (error) {
+      say(error.message);
+      return this.leave();
+    }
+    if (!frame) {
+      if (!this.active) say("No frame is due for a repeat yet: label some more first.");
+      return this.leave();
+    }
+    this.active = true;
+    document.body.classList.add("repeating");
+    this.#open.open({ ...frame, repeat: true, revision: null }, frame.keypoints);
+    setBanner(
+      "Blind repeat: label this frame as if for the first time. Your earlier points are hidden.",
+      [
+        { words: "Save and next  ⏎", run: () => this.submit(), main: true },
+        { words: "Leave  Esc", run: () => this.leave() },
+      ],
+      "repeat",
+    );
+    return undefined;
+  }
+
+  async submit() {
+    const missing = this.#open.missing();
+    if (missing.length) return say(`Still to place: ${missing.join(", ")}. Leave with Esc if it cannot be seen.`);
+    const { frame, points } = this.#open;
+    this.#queue.add({
+      kind: "repeat",
+      id: `repeat ${frame.id}`,
+      url: frame.put_url,
+      body: { points: Object.fromEntries(frame.keypoints.map((name) => [name, points[name]])) },
+      base_revision: 0,
+    });
+    this.#done++;
+    // The next one is known only when this one is on disk.
+    if (await this.#queue.drained()) return this.next();
+    return this.leave();
+  }
+
+  leave() {
+    if (!this.active) return;
+    this.active = false;
+    document.body.classList.remove("repeating");
+    setBanner(null);
+    byId("stage").focus({ preventScroll: true });
+    this.#finished(this.#done ? (this.spread ?? null) : null);
+    this.#done = 0;
+  }
+}

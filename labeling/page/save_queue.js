@@ -1,0 +1,244 @@
+// Edits on their way to the disk. Each is written to localStorage before it is sent and forgotten once the server
+// has it on disk, so neither a killed server nor a reloaded page loses one. One is sent at a time, in order.
+//
+// An edit keeps its `edit_id` however often it is sent; the server does it once. An edit made on top of an earlier,
+// unsent one of the same frame has no base revision of its own: it follows the earlier one's answer.
+
+import { Refused, Unreachable } from "./api.js";
+
+const RETRY_MS = [300, 600, 1200, 2500, 5000];
+// Not the edit's fault: it is sent again. Any other refusal is final.
+const RETRIED_STATUS = new Set([401, 403, 408, 429, 503]);
+
+/** Events: "status" (see `status`), "saved" {edit, answer}, "conflict" {id}, "refused" {edit, error}. */
+export class SaveQueue extends EventTarget {
+  #key;
+  #send;
+  #edits = [];
+  #held = new Set(); // edit ids that wait for more of the same, e.g. a key that repeats
+  #conflicts = new Map(); // frame id -> the frame as somebody else left it
+  #sending = null;
+  #failures = 0;
+  #retryTimer = null;
+  #trouble = null; // null, or {kind: "offline"|"session"|"disk", reason}
+  #idle = [];
+  #own = new Set();
+
+  /** key: where in localStorage; send: async (edit) => the server's answer. */
+  constructor(key, send) {
+    super();
+    this.#key = key;
+    this.#send = send;
+    this.#edits = stored(key);
+  }
+
+  get status() {
+    const state = this.#conflicts.size
+      ? "conflict"
+      : (this.#trouble?.kind ?? (this.#edits.length ? "saving" : "saved"));
+    return { state, waiting: this.#edits.length, reason: this.#trouble?.reason ?? "" };
+  }
+
+  /** Whether an edit that the server tells of was made here. */
+  isOwn(editId) {
+    return this.#own.has(editId);
+  }
+
+  /** The last unsent edit of a frame, what its content will be. */
+  latest(id) {
+    return this.#edits.findLast((edit) => edit.id === id) ?? null;
+  }
+
+  conflict(id) {
+    return this.#conflicts.get(id) ?? null;
+  }
+
+  get conflicts() {
+    return [...this.#conflicts.keys()];
+  }
+
+  /** Edits that an earlier tab left behind go first. */
+  adopt(edits) {
+    this.#edits.unshift(...edits.filter((edit) => !this.#edits.some((own) => own.edit_id === edit.edit_id)));
+    this.#store();
+    this.#run();
+  }
+
+  /** edit: {id, url, kind, body, base_revision}. With a `merge` key it waits for `release`, and takes the place
+   *  of the edit with the same key that is waiting. */
+  add(edit, merge = null) {
+    const last = this.latest(edit.id);
+    if (last && merge && last.merge === merge && this.#held.has(last.edit_id)) {
+      last.body = edit.body;
+    } else {
+      this.release();
+      // Behind an unsent edit the base is that edit's outcome, not known yet.
+      const base = last ? null : edit.base_revision;
+      const added = { ...edit, edit_id: crypto.randomUUID(), base_revision: base, merge };
+      this.#edits.push(added);
+      if (merge) this.#held.add(added.edit_id);
+    }
+    this.#store();
+    this.#run();
+  }
+
+  /** Send what was held back. */
+  release() {
+    if (!this.#held.size) return;
+    this.#held.clear();
+    this.#run();
+  }
+
+  /** The connection was seen to work, or to fail. */
+  setConnected(connected) {
+    if (connected) this.retry();
+    else if (!this.#trouble) this.#setTrouble({ kind: "offline", reason: "" });
+  }
+
+  retry() {
+    this.#failures = 0;
+    clearTimeout(this.#retryTimer);
+    this.#retryTimer = null;
+    if (!this.#edits.length) this.#setTrouble(null);
+    this.#run();
+  }
+
+  /** Resolves true when all is saved, false when it cannot be just now. */
+  drained() {
+    this.release();
+    if (!this.#edits.length) return Promise.resolve(true);
+    if (this.#trouble || this.#conflicts.size) return Promise.resolve(false);
+    return new Promise((resolve) => this.#idle.push(resolve));
+  }
+
+  /** Settle a conflict: my last version replaces theirs. */
+  keepMine(id) {
+    const theirs = this.#conflicts.get(id);
+    const mine = this.latest(id);
+    const settled = { ...mine, edit_id: crypto.randomUUID(), base_revision: theirs.revision };
+    this.#replaceEditsOf(id, settled);
+  }
+
+  /** Settle a conflict: their version stays, my unsent edits of the frame are dropped. */
+  takeTheirs(id) {
+    this.#replaceEditsOf(id, null);
+  }
+
+  #replaceEditsOf(id, settled) {
+    this.#edits = this.#edits.filter((edit) => edit.id !== id);
+    if (settled) this.#edits.push(settled);
+    this.#conflicts.delete(id);
+    this.#store();
+    this.#tell("status");
+    this.#run();
+  }
+
+  async #run() {
+    this.#tell("status");
+    if (this.#sending || this.#retryTimer) return;
+    for (let edit = this.#next(); edit; edit = this.#next()) {
+      this.#sending = edit;
+      this.#own.add(edit.edit_id);
+      try {
+        const answer = await this.#send(edit);
+        this.#failures = 0;
+        this.#trouble = null;
+        this.#done(edit, answer);
+      } catch (error) {
+        if (!this.#failed(edit, error)) break;
+      } finally {
+        this.#sending = null;
+      }
+    }
+    this.#tell("status");
+    if (!this.#edits.length || this.#trouble || this.#conflicts.size) this.#settleIdle(!this.#edits.length);
+  }
+
+  #next() {
+    // Held edits stop only what comes behind them on the same frame, which is nothing: `add` releases them.
+    return this.#edits.find((edit) => !this.#held.has(edit.edit_id) && !this.#conflicts.has(edit.id));
+  }
+
+  #done(edit, answer) {
+    this.#edits = this.#edits.filter((other) => other !== edit);
+    const following = this.#edits.find((other) => other.id === edit.id);
+    if (following && following.base_revision === null) {
+      // Sent again after a crash, an edit may find that somebody changed the frame after it: then my next one was
+      // made on something that is no longer there.
+      if (edit.kind !== "frame" || holds(answer, edit.body)) following.base_revision = answer?.revision ?? 0;
+      else this.#conflicts.set(edit.id, answer);
+    }
+    this.#store();
+    this.#tell("saved", { edit, answer });
+    if (this.#conflicts.has(edit.id)) this.#tell("conflict", { id: edit.id });
+  }
+
+  /** True: go on with the next edit. */
+  #failed(edit, error) {
+    if (error instanceof Refused && error.status === 409 && error.body?.frame) {
+      this.#conflicts.set(edit.id, error.body.frame);
+      this.#tell("conflict", { id: edit.id });
+      return true;
+    }
+    if (error instanceof Refused && !RETRIED_STATUS.has(error.status) && error.status < 500) {
+      this.#edits = this.#edits.filter((other) => other.id !== edit.id);
+      this.#store();
+      this.#tell("refused", { edit, error });
+      return true;
+    }
+    if (!(error instanceof Refused || error instanceof Unreachable)) console.error(error);
+    const status = error instanceof Refused ? error.status : 0;
+    const kind = status === 401 || status === 403 ? "session" : status ? "disk" : "offline";
+    this.#setTrouble({ kind, reason: error.message });
+    const wait = RETRY_MS[Math.min(this.#failures++, RETRY_MS.length - 1)];
+    this.#retryTimer = setTimeout(() => {
+      this.#retryTimer = null;
+      this.#run();
+    }, wait);
+    return false;
+  }
+
+  #setTrouble(trouble) {
+    this.#trouble = trouble;
+    this.#tell("status");
+    if (trouble) this.#settleIdle(false);
+  }
+
+  #settleIdle(saved) {
+    for (const resolve of this.#idle.splice(0)) resolve(saved);
+  }
+
+  #store() {
+    try {
+      if (this.#edits.length) localStorage.setItem(this.#key, JSON.stringify(this.#edits));
+      else localStorage.removeItem(this.#key);
+    } catch (error) {
+      console.warn("edits are not kept over a reload:", error);
+    }
+  }
+
+  #tell(name, detail) {
+    this.dispatchEvent(new CustomEvent(name, { detail }));
+  }
+}
+
+/** Edits kept under a key of localStorage. */
+export function stored(key) {
+  try {
+    return JSON.parse(localStorage.getItem(key)) ?? [];
+  } catch {
+    return [];
+  }
+}
+
+/** Whether a frame's content is what an edit asked for (positions are kept to 0.001 px). */
+function holds(frame, body) {
+  const same = (a, b) => (a && b ? Math.hypot(a[0] - b[0], a[1] - b[1]) < 0.002 : !a === !b);
+  return (
+    Object.entries(body.points ?? {}).every(([name, xy]) => same(xy, frame.points[name])) &&
+    (body.not_visible ?? frame.not_visible).slice().sort().join() === frame.not_visible.slice().sort().join() &&
+    (body.note ?? frame.note) === frame.note &&
+    (body.flagged ?? frame.flagged) === frame.flagged &&
+    (body.skipped ?? frame.skipped) === frame.skipped
+  );
+}

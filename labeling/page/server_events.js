@@ -1,0 +1,22 @@
+// What the server says unasked (server-sent events), and whether the connection stands.
+
+/** listener: {connected(serverId), lost(), changed(event), frames(), predicted(event), model(event)}. */
+export function listen(listener) {
+  let source = null;
+  const open = () => {
+    source = new EventSource("/api/events");
+    source.onmessage = (message) => {
+      const event = JSON.parse(message.data);
+      if (event.type === "hello") listener.connected(event.server_id);
+      else listener[event.type]?.(event);
+    };
+    source.onerror = () => {
+      listener.lost();
+      // A refused connection is retried by the browser, but not after an answer that it takes for final.
+      source.close();
+      setTimeout(open, 700);
+    };
+  };
+  open();
+  addEventListener("pagehide", () => source.close());
+}

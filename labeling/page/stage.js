@@ -1,0 +1,93 @@
+// The canvases: the picture, the marks on it, the loupe. Draws what has changed, once a screen refresh.
+
+import { drawLoupe } from "./loupe.js";
+import { drawMarks } from "./marks.js";
+
+// From here on a pixel is shown as the square that it is; below, smooth pictures show edges better.
+const SQUARE_PIXELS_SCALE = 8;
+
+export class Stage {
+  bitmap = null;
+  #root;
+  #picture;
+  #marks;
+  #loupe;
+  #view;
+  #scene;
+  #dirty = new Set();
+
+  /** scene(): what is to be drawn, for `drawMarks`; loupe: {at, shown} is asked of it too. */
+  constructor(root, view, scene) {
+    this.#root = root;
+    this.#picture = root.querySelector("#picture");
+    this.#marks = root.querySelector("#marks");
+    this.#loupe = root.querySelector("#loupe");
+    this.#view = view;
+    this.#scene = scene;
+    view.addEventListener("change", () => this.redraw("picture", "marks"));
+    new ResizeObserver(() => this.#resize()).observe(root);
+  }
+
+  show(bitmap) {
+    this.bitmap = bitmap;
+    this.#view.setPicture(bitmap.width, bitmap.height);
+    this.redraw("picture", "marks");
+  }
+
+  clear() {
+    this.bitmap = null;
+    this.redraw("picture", "marks");
+  }
+
+  /** Ask for "picture", "marks" or both to be drawn again. */
+  redraw(...layers) {
+    if (!this.#dirty.size) requestAnimationFrame(() => this.#draw());
+    for (const layer of layers) this.#dirty.add(layer);
+  }
+
+  #resize() {
+    const { width, height } = this.#root.getBoundingClientRect();
+    const ratio = devicePixelRatio || 1;
+    for (const canvas of [this.#picture, this.#marks]) {
+      canvas.width = Math.round(width * ratio);
+      canvas.height = Math.round(height * ratio);
+    }
+    this.#view.setScreen(width, height);
+    this.redraw("picture", "marks");
+  }
+
+  #draw() {
+    const dirty = this.#dirty;
+    this.#dirty = new Set();
+    const scene = this.#scene();
+    if (dirty.has("picture")) this.#drawPicture();
+    const context = cleared(this.#marks);
+    if (this.bitmap) drawMarks(context, scene);
+    drawLoupe(this.#loupe, this.bitmap, scene);
+    // For assistive tools and tests: where the picture lies.
+    const { scale, left, top } = this.#view;
+    Object.assign(this.#root.dataset, { scale, left, top });
+  }
+
+  #drawPicture() {
+    const context = cleared(this.#picture);
+    if (!this.bitmap) return;
+    const { scale, left, top } = this.#view;
+    const ratio = devicePixelRatio || 1;
+    context.imageSmoothingEnabled = scale * ratio < SQUARE_PIXELS_SCALE;
+    context.imageSmoothingQuality = "medium";
+    context.translate(left, top);
+    context.scale(scale, scale);
+    context.drawImage(this.bitmap, 0, 0);
+  }
+}
+
+/** The context of a canvas, empty, in CSS px. */
+function cleared(canvas) {
+  const context = canvas.getContext("2d");
+  const ratio = devicePixelRatio || 1;
+  context.setTransform(1, 0, 0, 1, 0, 0);
+  context.clearRect(0, 0, canvas.width, canvas.height);
+  context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  return context;
+}
