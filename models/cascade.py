@@ -12,10 +12,10 @@ import torch
 from torch import nn
 
 from ..tracker.types import Detections, FloatArray, ImageArray
-from .dataset import patch_direction, patch_view
+from .dataset import patch_view
 from .heatmaps import Decoded, decode
 from .network import HeatmapNetwork
-from .regions import WorkingRegion
+from .regions import WorkingRegion, patch_directions
 from .views import View, resize, resized_view
 
 LOCATOR_STAGES = 3
@@ -94,8 +94,9 @@ class Cascade(nn.Module):
         for frame, located in zip(frames, xy, strict=True):
             fine, fine_view = _fine_picture(frame, located, region)
             points = fine_view.to_input(located)
+            directions = patch_directions(points, partner)
             for i in range(k):
-                view = patch_view(points[i], region.magnification, patch_direction(points, i, partner))
+                view = patch_view(points[i], region.magnification, directions[i])
                 patches.append(view.cut(fine))
                 views.append(view.after(fine_view))
         found = _decoded(self.refiner, patches)

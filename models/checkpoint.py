@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file
@@ -22,6 +23,7 @@ from ..tracker.errors import BendtrackError, CheckpointError
 from ..tracker.types import Detections, ImageArray
 from .calibration import Calibration
 from .cascade import Cascade
+from .label_mean import with_offset
 from .network import BACKBONES
 from .regions import WorkingRegion
 from .tensor_files import write_tensors
@@ -43,6 +45,7 @@ class Checkpoint:
     regions : one for each frame size among the labels
     partner : for each keypoint the one that its patch is turned by
     calibration : what turns the network's spreads into covariances of positions
+    label_offset : for each keypoint from `label_mean.label_offset`; empty where it is in the weights
     training : settings, what the weights started from, frames trained on and held out
     """
 
@@ -53,6 +56,7 @@ class Checkpoint:
     regions: tuple[WorkingRegion, ...]
     partner: tuple[int, ...]
     calibration: Calibration
+    label_offset: tuple[tuple[float, float], ...] = ()
     training: Mapping[str, Any] = field(default_factory=dict)
 
     def region_for(self, frame_wh: tuple[int, int]) -> WorkingRegion:
@@ -63,7 +67,12 @@ class Checkpoint:
     def detect(self, frames: Sequence[ImageArray] | ImageArray) -> Detections:
         """Keypoints of RGB frames of one size (N, H, W, 3) uint8, calibrated."""
         h, w = frames[0].shape[:2]
-        return self.calibration.apply(self.network.detect(frames, self.region_for((w, h)), self.partner))
+        region = self.region_for((w, h))
+        found = self.network.detect(frames, region, self.partner)
+        if self.label_offset:
+            xy = with_offset(found.xy, np.array(self.label_offset), self.partner, region.refiner_scale)
+            found = replace(found, xy=xy)
+        return self.calibration.apply(found)
 
     def header(self) -> dict[str, Any]:
         """All but the weights, JSON-ready."""
@@ -79,6 +88,7 @@ class Checkpoint:
             },
             "regions": [region.to_dict() for region in self.regions],
             "partner": list(self.partner),
+            "label_offset_patch_px": [list(offset) for offset in self.label_offset],
             "calibration": {**asdict(self.calibration), "usual_peak": list(self.calibration.usual_peak)},
             "training": dict(self.training),
         }
@@ -132,6 +142,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
             regions=tuple(WorkingRegion.from_dict(r) for r in header["regions"]),
             partner=tuple(header["partner"]),
             calibration=Calibration.from_dict(header["calibration"]),
+            label_offset=tuple((x, y) for x, y in header.get("label_offset_patch_px", [])),
             training=header["training"],
         )
     except BendtrackError:

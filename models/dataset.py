@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..tracker.errors import LabelError
 from ..tracker.types import FloatArray, ImageArray, LabelledFrame
 from . import augment
-from .regions import PATCH_SIDE, WorkingRegion
+from .regions import PATCH_SIDE, WorkingRegion, patch_directions
 from .views import View, centred_view, resize, resized_view
 
 Rng = np.random.Generator
@@ -139,9 +139,10 @@ def refiner_batch(
         frame = frames[index]
         points = frame.fine_view.to_input(frame.xy)
         labelled: BoolArray = np.logical_not(np.isnan(points).any(axis=1))
+        directions = patch_directions(points, partner)
         for k in np.flatnonzero(labelled).tolist():
             zoom = frame.region.magnification
-            turn = patch_direction(points, k, partner) + np.deg2rad(rng.normal(0, PATCH_TURN_DEG))
+            turn = directions[k] + np.deg2rad(rng.normal(0, PATCH_TURN_DEG))
             if not labelled[partner[k]]:
                 # In a video the partner is always located somewhere: a patch without it may come in any attitude.
                 turn = rng.uniform(-np.pi, np.pi)
@@ -159,16 +160,6 @@ def refiner_batch(
 def patch_view(centre_xy: FloatArray, zoom: float, turn_rad: float) -> View:
     """The refiner's square view around a position, direction `turn_rad` to the right."""
     return centred_view(centre_xy, (PATCH_SIDE, PATCH_SIDE), zoom, turn_rad)
-
-
-def patch_direction(points: FloatArray, k: int, partner: Sequence[int]) -> float:
-    """Direction (rad) by which keypoint `k`'s patch is turned: from the lower-numbered of the pair to the higher."""
-    j = partner[k]
-    first, second = points[min(j, k)], points[max(j, k)]
-    step = second - first
-    if np.isnan(step).any():
-        return 0.0
-    return float(np.arctan2(step[1], step[0]))
 
 
 def _in_view(xy: FloatArray, size_wh: tuple[int, int]) -> BoolArray:

@@ -167,3 +167,15 @@ def partners(xy: FloatArray) -> Sequence[int]:
             if i != j and len(both):
                 middle[i, j] = np.median(both)
     return [int(np.argmin(row)) if np.isfinite(row).any() else i for i, row in enumerate(middle)]
+
+
+def patch_directions(xy: FloatArray, partner: Sequence[int]) -> FloatArray:
+    """Direction (rad) by which each keypoint's patch is turned: from the lower-numbered of the pair to the higher.
+
+    xy : (..., K, 2) px -> (..., K); 0 where one of the pair is NaN
+    """
+    own = np.arange(len(partner))
+    first, second = np.minimum(own, partner), np.maximum(own, partner)
+    step = xy[..., second, :] - xy[..., first, :]
+    angle: FloatArray = np.nan_to_num(np.arctan2(step[..., 1], step[..., 0]))
+    return angle

@@ -32,6 +32,7 @@ from .evaluation import frame_id
 from .heatmaps import heatmap_loss
 from .held_out import split
 from .initialisation import load_backbone, resolve_init, starting_weights
+from .label_mean import label_offset, with_offset
 from .regions import LOCATOR_SIDE, partners, working_regions
 from .schedule import Schedule
 from .settings import TrainingSettings
@@ -170,6 +171,7 @@ class _Trainer:
             prepare(picture, xy, regions[size])
             for picture, xy, size in zip(pictures, labels, sizes, strict=True)
         ]
+        self.patch_scale = np.array([frame.region.refiner_scale for frame in self.prepared])
         self.labels = labels
         self.targets = labels.copy()
         # Pictures are kept for evaluation at the scales that detection cuts itself.
@@ -290,10 +292,9 @@ class _Trainer:
                 self.best = {n: v.clone() for n, v in self.average.state_dict().items()}
                 self.best_step = self.step
         if self.settings.consensus and self.step >= CONSENSUS_FROM * self.schedule.total:
-            scales = np.array([self.prepared[i].region.refiner_scale for i in self.trained])
             found = self._detect(self.average, self.trained).xy
             self.targets[self.trained] = consensus(
-                self.labels[self.trained], found, self.settings.consensus, scales
+                self.labels[self.trained], found, self.settings.consensus, self.patch_scale[self.trained]
             )
         self.rows.append(
             {
@@ -320,12 +321,16 @@ class _Trainer:
         if self.best is not None and self.last_px > 1.15 * self.schedule.best_px:
             network.load_state_dict(self.best)
             step, held_out_px = self.best_step, self.schedule.best_px
-        calibration = calibrate(
-            self._detect(network, self.trained),
-            self.labels[self.trained],
-            self._detect(network, self.held) if self.held else None,
-            self.labels[self.held] if self.held else None,
-        )
+        found = self._detect(network, self.trained)
+        own, scales = self.labels[self.trained], self.patch_scale[self.trained]
+        offset = label_offset(found.xy, own, self.partner, scales)
+        found = replace(found, xy=with_offset(found.xy, offset, self.partner, scales))
+        held = None
+        if self.held:
+            held = self._detect(network, self.held)
+            scales = self.patch_scale[self.held]
+            held = replace(held, xy=with_offset(held.xy, offset, self.partner, scales))
+        calibration = calibrate(found, own, held, self.labels[self.held] if self.held else None)
         training = {
             "settings": self.settings.to_dict(),
             "started_from": self.start,
@@ -345,6 +350,7 @@ class _Trainer:
             regions=self.regions,
             partner=self.partner,
             calibration=calibration,
+            label_offset=tuple((float(x), float(y)) for x, y in offset),
             training=training,
         )
 
