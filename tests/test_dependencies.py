@@ -15,6 +15,7 @@ INSTALLED_AS = {
     "cv2": "opencv-python-headless",
     "yaml": "pyyaml",
     "pydantic_core": "pydantic",
+    "sleap_io": "sleap-io",
 }
 
 
@@ -33,6 +34,7 @@ def imported() -> set[str]:
 
 def test_every_import_is_a_declared_dependency() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    lines = [*project["dependencies"], *project["optional-dependencies"]["dlc-h5"]]
+    extras = project["optional-dependencies"]
+    lines = [*project["dependencies"], *extras["dlc-h5"], *extras["sleap"]]
     declared = {re.split(r"[^\w.-]", line)[0].lower() for line in lines}
     assert {INSTALLED_AS.get(module, module) for module in imported()} - declared == set()

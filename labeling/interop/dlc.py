@@ -1,58 +1,21 @@
-"""Labels from DeepLabCut into a project: pictures copied, labels checked, all that is left out said.
+"""DeepLabCut's labels into a project, and back by `export_dlc`.
 
-Where a source keeps its labels is in `dlc_source.py`, the way back in `dlc_export.py`.
+Where a source keeps its labels is in `dlc_source.py`, the way back in `dlc_export.py`; what every format's import
+has in common, in `importing.py`. Positions are used as they are: DeepLabCut's labels are px with (0, 0) at the
+centre of the top-left pixel, as its labelling tool shows pictures.
 """
 
 from __future__ import annotations
 
-import difflib
-from collections import Counter
-from collections.abc import Mapping, Sequence
-from contextlib import closing
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from pathlib import Path
 
-from ...tracker.atomic import atomic_write_bytes
-from ...tracker.errors import LabelError, ProjectError
-from ...tracker.project import SETTINGS_FILE, Project
-from ...tracker.video import Video
-from ..label_table import LabelRow, Point
-from ..store import LabelStore, frame_index, image_size_wh, images_in, merge_row
-from .dlc_export import by_stem, export_dlc
-from .dlc_source import Source, SourceVideo, open_source
+from ...tracker.project import Project
+from .dlc_export import export_dlc
+from .dlc_source import open_source
+from .importing import ImportReport, import_source, project_of
 
 __all__ = ["ImportReport", "export_dlc", "import_dlc", "project_for"]
-
-
-@dataclass
-class ImportReport:
-    """What an import did.
-
-    Attributes
-    ----------
-    videos : number of videos with labels in the source
-    labelled : frames whose labels were new or completed
-    unchanged : frames whose labels were in the project already, the same
-    images : pictures copied, or extracted from a video
-    unlabelled : pictures without any label, copied too so that they can be labelled
-    skipped : what was left out, "<video>/<image>: <reason>" each
-    warnings : what was taken and is worth a look
-    """
-
-    videos: int = 0
-    labelled: int = 0
-    unchanged: int = 0
-    images: int = 0
-    unlabelled: int = 0
-    skipped: list[str] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
-
-    def summary(self) -> str:
-        """One line for people."""
-        return (
-            f"{self.labelled} labelled frames imported, {self.unchanged} already there, "
-            f"{self.images} pictures copied, {self.unlabelled} have no labels, {len(self.skipped)} left out"
-        )
 
 
 def project_for(root: str | Path, source: str | Path) -> Project:
@@ -65,13 +28,7 @@ def project_for(root: str | Path, source: str | Path) -> Project:
     LabelError
         The source cannot be read.
     """
-    if (Path(root) / SETTINGS_FILE).exists():
-        return Project.open(root)
-    found = open_source(source)
-    try:
-        return Project.create(root, keypoints=found.keypoints, scorer=found.scorer)
-    except ProjectError as error:
-        raise ProjectError(f"cannot create a project from {source}: {error}") from error
+    return project_of(root, open_source(source))
 
 
 def import_dlc(
@@ -83,215 +40,15 @@ def import_dlc(
 ) -> ImportReport:
     """Take over the labelled pictures of a DeepLabCut project, a labeled-data folder or a label file.
 
-    Importing again changes nothing. Labels of the project that the source contradicts stay (the whole frame)
-    and are reported, unless `overwrite`; a point that the project's frame lacks is filled in.
+    Parameters, outcome and errors are those of `import_source`; also
 
     Parameters
     ----------
     source : a folder with config.yaml or labeled-data/, one folder of labels, or a CollectedData CSV
-    videos : video files; a picture that the source lacks is decoded from the video of the same stem, at the
-        frame that the picture's name tells
-    overwrite : let the source's labels and pictures win
 
     Raises
     ------
     LabelError
-        The source is none of these, none of its body parts is a keypoint of the project, or two of `videos`
-        have one name.
-    VideoError
-        One of `videos` cannot be read.
-    OSError
-        The project cannot be written.
+        The source is none of these.
     """
-    found = open_source(source)
-    store = LabelStore.of(project)
-    report = ImportReport(videos=len(found.videos), warnings=list(found.warnings))
-    _compare_keypoints(found, project.keypoints, report)
-    files = by_stem(videos)
-    for name in files.keys() - {video.video for video in found.videos}:
-        report.warnings.append(f"{files[name].name}: no labels are named after this video")
-    for video in found.videos:
-        _import_video(video, files.get(video.video), store, overwrite, report)
-    return report
-
-
-def _compare_keypoints(source: Source, keypoints: tuple[str, ...], report: ImportReport) -> None:
-    unknown = [name for name in source.keypoints if name not in keypoints]
-    if len(unknown) == len(source.keypoints):
-        raise LabelError(
-            f"{source.path}: expected labels of the project's keypoints {', '.join(keypoints)}, "
-            f"got {', '.join(unknown) or 'none'}"
-        )
-    for name in unknown:
-        close = difflib.get_close_matches(name, keypoints, n=1)
-        hint = f" (did someone mean '{close[0]}'?)" if close else ""
-        report.warnings.append(f"'{name}' is no keypoint of the project{hint}: its labels are kept, not used")
-    for name in keypoints:
-        if name not in source.keypoints:
-            report.warnings.append(f"keypoint '{name}' is not labelled in the source")
-
-
-def _import_video(
-    source: SourceVideo, video: Path | None, store: LabelStore, overwrite: bool, report: ImportReport
-) -> None:
-    rows = _distinct(source, report)
-    pictures = {path.name: path for path in images_in(source.folder)}
-    target = store.labels_dir / source.video
-    extractable = {} if video is None else {name: i for name in rows if (i := frame_index(name)) is not None}
-    extractable = {name: i for name, i in extractable.items() if name not in pictures}
-    for name in [name for name in rows if name not in pictures and name not in extractable]:
-        report.skipped.append(f"{source.video}/{name}: no such picture in {source.folder}")
-        del rows[name]
-
-    sizes = _sizes(source.video, pictures, report)
-    if extractable and video is not None:
-        sizes |= _extract(video, extractable, source.video, store, report)
-    sizes = _of_one_size(source.video, sizes, store, report)
-    for name in [name for name in sizes if name in pictures]:
-        if not _copy(pictures[name], target / name, overwrite, source.video, report):
-            del sizes[name]
-            continue
-        report.unlabelled += not (name in rows and rows[name].cells)
-
-    changes: dict[str, Mapping[str, Point | None]] = {}
-    present = {row.image: row for row in store.table(source.video).rows}
-    for name, row in rows.items():
-        if name in sizes:
-            points = _points_inside(row, source.video, sizes[name], report)
-            _merge(name, points, present.get(name), source.video, overwrite, changes, report)
-    if changes:
-        store.write_points(source.video, changes)
-
-
-def _distinct(source: SourceVideo, report: ImportReport) -> dict[str, LabelRow]:
-    """Rows by image. Of rows that contradict each other the first counts, the others are reported."""
-    rows: dict[str, LabelRow] = {}
-    for row in source.rows:
-        try:
-            rows[row.image] = merge_row(rows[row.image], row) if row.image in rows else row
-        except LabelError as error:
-            report.skipped.append(f"{source.video}/{row.image}: {error}")
-    frames: dict[int, str] = {}
-    for image in rows:
-        index = frame_index(image)
-        if index is not None and frames.setdefault(index, image) != image:
-            report.warnings.append(f"{source.video}: {frames[index]} and {image} name the same frame")
-    return rows
-
-
-def _sizes(video: str, pictures: Mapping[str, Path], report: ImportReport) -> dict[str, tuple[int, int]]:
-    """(width, height) of the pictures that open."""
-    sizes = {}
-    for name, path in pictures.items():
-        size = image_size_wh(path)
-        if size is None:
-            report.skipped.append(f"{video}/{name}: expected a picture, got a file that does not open as one")
-        else:
-            sizes[name] = size
-    return sizes
-
-
-def _extract(
-    path: Path, wanted: Mapping[str, int], video: str, store: LabelStore, report: ImportReport
-) -> dict[str, tuple[int, int]]:
-    """Save the wanted frames that the project lacks, in one pass over the video; sizes of all it then has."""
-    reader = Video(path)
-    missing = {n: i for n, i in wanted.items() if not (store.labels_dir / video / n).is_file()}
-    sizes = {name: reader.size_wh for name in wanted if name not in missing}
-    count, last = 0, max(missing.values(), default=-1)
-    with closing(iter(reader)) as frames:
-        for frame in frames if missing else ():
-            count = frame.index + 1
-            for name in [name for name, index in missing.items() if index == frame.index]:
-                if frame.image is not None:
-                    store.add_image(video, name, frame.image)
-                    sizes[name] = reader.size_wh
-                    report.images += 1
-            if count > last:
-                break
-    for name, index in missing.items():
-        if name not in sizes:
-            reason = f"has {count} frames" if index >= count else "cannot be decoded there"
-            report.skipped.append(f"{video}/{name}: expected frame {index}, but {path.name} {reason}")
-    return sizes
-
-
-def _of_one_size(
-    video: str, sizes: dict[str, tuple[int, int]], store: LabelStore, report: ImportReport
-) -> dict[str, tuple[int, int]]:
-    """Only the pictures of the video's size: that of the project's pictures, or else the most common one."""
-    if not sizes:
-        return sizes
-    expected = Counter(sizes.values()).most_common(1)[0][0]
-    for path in store.images(video)[:1]:
-        expected = image_size_wh(path) or expected
-    for name, (width, height) in sizes.items():
-        if (width, height) != expected:
-            report.skipped.append(
-                f"{video}/{name}: expected {expected[0]} x {expected[1]} px as other pictures of this video, "
-                f"got {width} x {height}"
-            )
-    return {name: size for name, size in sizes.items() if size == expected}
-
-
-def _copy(picture: Path, target: Path, overwrite: bool, video: str, report: ImportReport) -> bool:
-    """Copy a picture byte for byte; False where the project has another one of that name, which stays."""
-    data = picture.read_bytes()
-    if target.is_file():
-        if target.read_bytes() == data:
-            return True
-        if not overwrite:
-            report.skipped.append(
-                f"{video}/{target.name}: the project has another picture of that name, kept"
-            )
-            return False
-    target.parent.mkdir(parents=True, exist_ok=True)
-    atomic_write_bytes(target, data)
-    report.images += 1
-    return True
-
-
-def _points_inside(
-    row: LabelRow, video: str, size_wh: tuple[int, int], report: ImportReport
-) -> dict[str, Point]:
-    """The row's points that are numbers and lie in the picture (from half a px before the first centre)."""
-    points = {}
-    for bodypart in dict.fromkeys(part for part, _ in row.cells):
-        try:
-            point = row.point(bodypart)
-        except LabelError as error:
-            report.skipped.append(f"{video}/{row.image}: {error}")
-            continue
-        if point is None:
-            continue
-        if not all(-0.5 <= value <= size - 0.5 for value, size in zip(point, size_wh, strict=True)):
-            report.skipped.append(
-                f"{video}/{row.image}: expected '{bodypart}' inside the {size_wh[0]} x {size_wh[1]} px, "
-                f"got ({point[0]:g}, {point[1]:g})"
-            )
-            continue
-        points[bodypart] = point
-    return points
-
-
-def _merge(
-    image: str,
-    points: Mapping[str, Point],
-    present: LabelRow | None,
-    video: str,
-    overwrite: bool,
-    changes: dict[str, Mapping[str, Point | None]],
-    report: ImportReport,
-) -> None:
-    """Decide what becomes of a frame's labels, given what the project has for it."""
-    known = {name: present.point(name) for name in points} if present else {}
-    against = [name for name, point in points.items() if known.get(name) not in (None, point)]
-    if against and not overwrite:
-        report.skipped.append(
-            f"{video}/{image}: labelled otherwise in the project ({', '.join(against)}), kept"
-        )
-    elif any(known.get(name) != point for name, point in points.items()):
-        changes[image] = points
-        report.labelled += 1
-    elif points:
-        report.unchanged += 1
+    return import_source(open_source(source), project, videos=videos, overwrite=overwrite)

@@ -1,13 +1,12 @@
 """Finding what a DeepLabCut project, a labeled-data folder or a label file holds, before any of it is used.
 
-What is taken over from it, and how, is in `dlc.py`.
+What becomes of it is in `importing.py`.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,46 +14,11 @@ import yaml
 
 from ...tracker.errors import LabelError
 from ..label_table import LabelRow, LabelTable, read_label_table
-from ..store import label_files
+from ..store import images_in, label_files
+from .source import Source, SourceVideo
 
 # The folders that DeepLabCut's check_labels fills with pictures on which the labels are drawn.
 _DRAWN_SUFFIX = "_labeled"
-
-
-@dataclass(frozen=True)
-class SourceVideo:
-    """The labelled pictures of one video.
-
-    Attributes
-    ----------
-    video : name of the folder, the video's stem
-    folder : where the pictures are looked for; need not exist when the video itself is given
-    rows : the rows of its label files as they stand, the source's own scorer first
-    """
-
-    video: str
-    folder: Path
-    rows: tuple[LabelRow, ...]
-
-
-@dataclass(frozen=True)
-class Source:
-    """What there is to import.
-
-    Attributes
-    ----------
-    path : as it was given
-    keypoints : body parts, in the order of config.yaml or else of the label files
-    scorer : of config.yaml, None without one
-    videos : with labels
-    warnings : what was passed over and why
-    """
-
-    path: Path
-    keypoints: tuple[str, ...]
-    scorer: str | None
-    videos: tuple[SourceVideo, ...]
-    warnings: tuple[str, ...]
 
 
 def open_source(path: str | Path) -> Source:
@@ -71,10 +35,8 @@ def open_source(path: str | Path) -> Source:
         by_video: dict[str, list[LabelRow]] = defaultdict(list)
         for row in table.rows:
             by_video[row.video or path.resolve().parent.name].append(row)
-        videos = [
-            SourceVideo(video, _pictures_of(path, video), tuple(rows)) for video, rows in by_video.items()
-        ]
-        return _checked(Source(path, table.bodyparts, None, tuple(videos), ()))
+        videos = [_video(video, _pictures_of(path, video), rows) for video, rows in by_video.items()]
+        return _checked(Source(path, table.bodyparts, None, tuple(videos)))
     if not path.is_dir():
         raise LabelError(
             f"expected a DeepLabCut project or a labels folder, got a path where nothing is: {path}"
@@ -92,8 +54,13 @@ def open_source(path: str | Path) -> Source:
         tables = [_read(file, scorer) for file in files]
         for table in tables:
             bodyparts |= dict.fromkeys(table.bodyparts)
-        videos.append(SourceVideo(folder.name, folder, tuple(row for table in tables for row in table.rows)))
+        videos.append(_video(folder.name, folder, [row for table in tables for row in table.rows]))
     return _checked(Source(path, tuple(bodyparts), scorer, tuple(videos), tuple(warnings)))
+
+
+def _video(video: str, folder: Path, rows: Sequence[LabelRow]) -> SourceVideo:
+    pictures = {picture.name: picture.read_bytes for picture in images_in(folder)}
+    return SourceVideo(video, tuple(rows), pictures, str(folder))
 
 
 def _checked(source: Source) -> Source:

@@ -1,0 +1,283 @@
+"""SLEAP's .slp labels, in and out, read and written by sleap-io (the extra bendtrack[sleap]).
+
+sleap-io serves: it keeps float64 positions, knows every version of the format, and loads in a tenth of a second;
+its 280 MB with what it needs are why it is an extra. Nothing here reads the HDF5 itself.
+
+Positions. Since version 1.1 of the format (0, 0) is the centre of the top-left pixel, as everywhere here; older
+files measured from its corner, and sleap-io takes 0.5 px off theirs. Positions are used as it gives them.
+
+Frames. A .slp names videos and frame indices; it may carry the pictures (.pkg.slp), or name pictures instead of a
+video. Only what a person labelled is taken, not predictions. A node that is not visible is not labelled.
+
+Actuators. In what we write, an instance's track is the actuator; in others' files tracks mean something else.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from pathlib import Path, PurePosixPath
+from types import ModuleType
+from typing import Any
+
+import cv2
+import numpy as np
+
+from ...tracker.atomic import atomic_path
+from ...tracker.errors import LabelError
+from ...tracker.project import Project
+from ...tracker.project_settings import listed_stem
+from ..label_table import LabelRow
+from ..store import frame_index, image_name
+from .exporting import ExportReport, LabelledVideo, labelled_videos, skeleton_edges
+from .importing import by_stem
+from .source import PictureFinder, ReadPicture, Source, SourceVideo, distinct_names, foreign_path
+
+_WRITER = "bendtrack"  # key in the file's provenance: we wrote it
+
+
+def _sleap_io(path: Path) -> ModuleType:
+    try:
+        import sleap_io
+    except ImportError as error:
+        raise LabelError(
+            f"{path}: expected sleap-io for SLEAP's files, got none: install bendtrack[sleap]"
+        ) from error
+    return sleap_io
+
+
+# --- in --------------------------------------------------------------------------------------------------
+
+
+def open_sleap(path: str | Path, images: str | Path | None = None) -> Source:
+    """Read a .slp.
+
+    Parameters
+    ----------
+    path : the file
+    images : where to look for the videos or pictures that it names, beside the places that it says and its own
+
+    Raises
+    ------
+    LabelError
+        sleap-io is not installed, not such a file, or nobody has labelled anything in it.
+    """
+    path = Path(path)
+    sleap_io = _sleap_io(path)
+    try:
+        labels = sleap_io.load_slp(str(path), open_videos=False)
+    except Exception as error:  # whatever h5py, json and sleap-io raise at a file that is none
+        raise LabelError(
+            f"{path}: expected SLEAP labels (.slp), got a file that does not open as such ({error})"
+        ) from error
+    finder = PictureFinder([Path(images)] if images is not None else [path.resolve().parent])
+    by_video = defaultdict(list)
+    for frame in labels.labeled_frames:
+        by_video[id(frame.video)].append(frame)
+    suggested = defaultdict(list)
+    for suggestion in labels.suggestions:
+        suggested[id(suggestion.video)].append(int(suggestion.frame_idx))
+    ours = _WRITER in labels.provenance
+    skipped: list[str] = []
+    names = _video_names(labels.videos)
+    videos = []
+    for video, name in zip(labels.videos, names, strict=True):
+        frames, indices = by_video[id(video)], suggested[id(video)]
+        if frames or indices:
+            videos.append(_video(video, name, frames, indices, finder, ours, skipped))
+    if not any(row.cells for video in videos for row in video.rows):
+        raise LabelError(f"{path}: expected frames that a person labelled, got none")
+    keypoints = dict.fromkeys(name for skeleton in labels.skeletons for name in skeleton.node_names)
+    return Source(path, tuple(keypoints), None, tuple(videos), (), tuple(skipped))
+
+
+def _origin(video: Any) -> Any:
+    """The video that the frames come from, also where the file carries copies of them."""
+    return video.original_video or video
+
+
+def _video_names(videos: Sequence[Any]) -> list[str]:
+    """The stem of a video file; for a list of pictures, the folder that they lie in."""
+    paths = []
+    for number, video in enumerate(videos):
+        filename = _origin(video).filename
+        if isinstance(filename, list):
+            path = foreign_path(filename[0]).parent if filename else PurePosixPath()
+        else:
+            path = foreign_path(str(filename))
+            path = path.with_name(listed_stem(path.name)) if path.name else path
+        paths.append(path if path.name else PurePosixPath(f"video_{number}"))
+    names = distinct_names(paths)
+    return [names[path] for path in paths]
+
+
+def _video(
+    video: Any,
+    name: str,
+    frames: Sequence[Any],
+    suggested: Sequence[int],
+    finder: PictureFinder,
+    ours: bool,
+    skipped: list[str],
+) -> SourceVideo:
+    indices = sorted({int(frame.frame_idx) for frame in frames} | set(suggested))
+    images = _image_names(_origin(video).filename, indices)
+    pictures: dict[str, ReadPicture] = {}
+    file = None
+    where = finder.where
+    if video.backend_metadata.get("has_embedded_images"):
+        images = {index: _as_png(images, index) for index in indices}
+        video.open()
+        held = {int(index) for index in video.backend.source_inds}
+        pictures = {images[index]: _embedded(video, index) for index in indices if index in held}
+        where = str(video.filename)
+    elif isinstance(video.filename, list):
+        for index in indices:
+            found = finder.find(video.filename[index]) if index < len(video.filename) else None
+            if found is not None:
+                pictures[images[index]] = found.read_bytes
+    else:
+        file = _video_file(video.filename, finder)
+    rows, actuators = [], set()
+    if file is not None:
+        rows = [LabelRow(images[index], {}, name) for index in sorted(set(suggested))]
+    for frame in sorted(frames, key=lambda frame: frame.frame_idx):
+        image = images[int(frame.frame_idx)]
+        labelled = [instance for instance in frame.user_instances if not np.isnan(instance.numpy()).all()]
+        if len(labelled) > 1:
+            skipped.append(f"{name}/{image}: expected one actuator a picture, got {len(labelled)} instances")
+        elif labelled:
+            rows.append(LabelRow(image, _cells(labelled[0]), name, f"{name} frame {frame.frame_idx}"))
+            if labelled[0].track is not None:
+                actuators.add(labelled[0].track.name)
+    actuator = actuators.pop() if ours and len(actuators) == 1 else None
+    return SourceVideo(name, tuple(rows), pictures, where, actuator, file)
+
+
+def _image_names(filename: str | list[str], indices: Sequence[int]) -> Mapping[int, str]:
+    """What the pictures of these frames are called: as before where they have names, else by the frame."""
+    if not isinstance(filename, list):
+        return {index: image_name(index) for index in indices}
+    paths = {index: foreign_path(filename[index]) for index in indices if index < len(filename)}
+    names = distinct_names(paths.values())
+    return {index: names[paths[index]] if index in paths else image_name(index) for index in indices}
+
+
+def _as_png(images: Mapping[int, str], index: int) -> str:
+    """A name for the copy in the file, which is a PNG; two pictures of one stem stay two."""
+    name = PurePosixPath(images[index])
+    alike = [i for i, other in images.items() if PurePosixPath(other).stem == name.stem]
+    return f"{name.stem}.png" if len(alike) == 1 else f"{name.stem}_{name.suffix[1:]}.png"
+
+
+def _embedded(video: Any, index: int) -> ReadPicture:
+    def read() -> bytes:
+        image = video[index]
+        code = cv2.COLOR_GRAY2BGR if image.shape[-1] == 1 else cv2.COLOR_RGB2BGR
+        return cv2.imencode(".png", cv2.cvtColor(image, code))[1].tobytes()
+
+    return read
+
+
+def _video_file(filename: str, finder: PictureFinder) -> Path | None:
+    for path in (Path(filename), *(folder / foreign_path(filename).name for folder in finder.folders)):
+        if path.is_file():
+            return path
+    return None
+
+
+def _cells(instance: Any) -> dict[tuple[str, str], str]:
+    cells = {}
+    for name, (x, y) in zip(instance.skeleton.node_names, instance.numpy().tolist(), strict=True):
+        if not (np.isnan(x) or np.isnan(y)):
+            cells[name, "x"], cells[name, "y"] = repr(x), repr(y)
+    return cells
+
+
+# --- out -------------------------------------------------------------------------------------------------
+
+
+def export_sleap(project: Project, out: str | Path, *, videos: Sequence[str | Path] = ()) -> ExportReport:
+    """Write a .slp that carries the project's pictures and labels, or names its videos.
+
+    Positions keep every digit, pictures every pixel; pictures without labels become suggestions. Where `videos`
+    gives the video of every labelled folder, and every picture's name tells its frame, the file names videos and
+    frame indices and carries no pictures.
+
+    Parameters
+    ----------
+    project : whose labels
+    out : the file, ending in .slp; must not exist
+    videos : video files
+
+    Raises
+    ------
+    LabelError
+        sleap-io is not installed, `out` exists or ends otherwise, nothing is labelled, the labels are
+        malformed, a video is not there, or two have one name.
+    OSError
+        The file cannot be written.
+    """
+    out = Path(out)
+    sleap_io = _sleap_io(out)
+    if out.suffix != ".slp":
+        raise LabelError(f"expected the name of a .slp file to export to, got {out}")
+    if out.exists():
+        raise LabelError(f"expected a new file to export to, got one that is there: {out}")
+    report = ExportReport()
+    labelled = labelled_videos(project, report)
+    files = by_stem(videos)
+    for file in files.values():
+        if not file.is_file():
+            raise LabelError(f"expected a video, got a path where no file is: {file}")
+    by_reference = bool(files) and _all_have_videos(labelled, files, report)
+
+    skeleton = sleap_io.Skeleton(
+        list(project.keypoints), edges=skeleton_edges(project), name=project.root.resolve().name
+    )
+    tracks = {video.actuator: sleap_io.Track(video.actuator) for video in labelled}
+    foreign, frames, suggestions = [], [], []
+    for video in labelled:
+        if by_reference:
+            theirs = sleap_io.Video.from_filename(str(files[video.video].resolve()))
+        else:
+            theirs = sleap_io.Video.from_filename([str(p.resolve()) for p in video.pictures], grayscale=False)
+        foreign.append(theirs)
+        for number, picture in enumerate(video.pictures):
+            index = frame_index(picture.name) if by_reference else number
+            xy = video.xy.get(picture.name)
+            if xy is None:
+                suggestions.append(sleap_io.SuggestionFrame(theirs, index))
+                continue
+            instance = sleap_io.Instance.from_numpy(xy, skeleton=skeleton, track=tracks[video.actuator])
+            frames.append(sleap_io.LabeledFrame(video=theirs, frame_idx=index, instances=[instance]))
+    labels = sleap_io.Labels(
+        labeled_frames=frames,
+        videos=foreign,
+        skeletons=[skeleton],
+        tracks=list(tracks.values()),
+        suggestions=suggestions,
+        provenance={_WRITER: "labels written by bendtrack"},
+    )
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_path(out) as temporary:
+        embed = False if by_reference else "user+suggestions"
+        sleap_io.save_slp(labels, str(temporary), embed=embed, verbose=False)
+    return report
+
+
+def _all_have_videos(
+    labelled: Sequence[LabelledVideo], files: Mapping[str, Path], report: ExportReport
+) -> bool:
+    missing = [video.video for video in labelled if video.video not in files]
+    unnumbered = [
+        f"{video.video}/{picture.name}"
+        for video in labelled
+        for picture in video.pictures
+        if frame_index(picture.name) is None
+    ]
+    if missing:
+        report.warnings.append(f"no video is given for {', '.join(missing)}: pictures go into the file")
+    elif unnumbered:
+        report.warnings.append(f"the name of {unnumbered[0]} tells no frame: pictures go into the file")
+    return not missing and not unnumbered
