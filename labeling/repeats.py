@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from ..tracker.angle import AngleDefinition, bending_angle
 from ..tracker.types import FloatArray
@@ -113,7 +113,8 @@ def _sd_with_interval(differences: FloatArray) -> tuple[float, float, float]:
     n = differences.size
     sd = math.sqrt(float(np.mean(differences**2)) / 2)
     tail = (1 - CONFIDENCE) / 2
-    low, high = (sd * math.sqrt(n / float(chi2.ppf(q, n))) for q in (1 - tail, tail))
+    # chdtri(n, q): what a chi-square of n degrees of freedom exceeds with probability q.
+    low, high = (sd * math.sqrt(n / float(chdtri(n, q))) for q in (tail, 1 - tail))
     return sd, low, high
 
 

@@ -53,6 +53,7 @@ def serve_labelling(
         raise LabelError(
             f"expected pictures to label in {project.labels_dir}, got none: `bendtrack frames` chooses some"
         )
+    secret = private.secret()
     listening = _listen(private, port)
     port = listening.getsockname()[1]
     private.remember_port(port)
@@ -64,7 +65,7 @@ def serve_labelling(
         server.predictions = Predictions(
             network, private.path, lambda: _all_pictures(annotations), server.predicted
         )
-    door = Door(server.app(), port, private.secret())
+    door = Door(server.app(), port, secret)
     running = uvicorn.Server(
         uvicorn.Config(
             door,

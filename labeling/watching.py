@@ -34,6 +34,7 @@ class Watch:
         self._stopping = stopping
         self._pages: set[asyncio.Queue[Mapping[str, Any]]] = set()
         self._seen: dict[str, int] = {}
+        self._told: dict[str, int] = {}
         self._loop: asyncio.AbstractEventLoop | None = None
 
     def tell(self, event: Mapping[str, Any]) -> None:
@@ -49,7 +50,9 @@ class Watch:
 
     def changed(self, frame: str, revision: int, client_id: str, edit_id: str) -> None:
         """Tell that this server has changed a frame."""
-        self._seen[frame] = revision
+        self._told[frame] = revision
+        if frame in self._seen:
+            self._seen[frame] = revision
         self.tell(
             {"type": "changed", "id": frame, "revision": revision, "client_id": client_id, "edit_id": edit_id}
         )
