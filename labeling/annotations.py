@@ -10,7 +10,7 @@ import os
 import stat
 import threading
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -73,7 +73,8 @@ class Annotations:
     Parameters
     ----------
     project : its settings are read again when bendtrack.toml has changed
-    lock : held while files are read, so that none is seen between two writes of one edit
+    lock : held while files are read, so that none is seen between two writes of one edit; who only looks
+        on can do without
 
     Raises
     ------
@@ -81,7 +82,9 @@ class Annotations:
         labeled-data/ is a link that leads out of the project.
     """
 
-    def __init__(self, project: Project, lock: Callable[[], AbstractContextManager[None]]) -> None:
+    def __init__(
+        self, project: Project, lock: Callable[[], AbstractContextManager[None]] = nullcontext
+    ) -> None:
         self._lock = lock
         self._root = Path(os.path.realpath(project.root))
         self._use(project)
