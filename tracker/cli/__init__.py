@@ -14,6 +14,7 @@ from .frame_commands import frames
 from .label_command import label
 from .network_commands import evaluate, train
 from .project_commands import export_labels, import_labels, new
+from .study_commands import analyze
 from .video_commands import render, track
 
 __all__ = ["main"]
@@ -28,6 +29,7 @@ _COMMANDS: dict[str, Callable[..., None]] = {  # in the order of --help
     "train": train,
     "evaluate": evaluate,
     "track": track,
+    "analyze": analyze,
     "render": render,
     "doctor": doctor,
 }

@@ -105,7 +105,7 @@ def pressure_column(columns: Sequence[LogColumn], taken: Sequence[LogColumn], wh
         Several could be, or none.
     """
     left = [c for c in columns if c not in taken and not _is_time(c)]
-    named = [c for c in left if _is_pressure(c) and not words_of(c.name) & (_REFERENCE_WORDS | _SYNC_WORDS)]
+    named = [c for c in left if is_pressure(c) and not words_of(c.name) & (_REFERENCE_WORDS | _SYNC_WORDS)]
     if named:
         return _only(named, columns, "pressure", where)
     if len(left) == 1:
@@ -122,7 +122,7 @@ def reference_column(
     """The only column that is the pressure asked for, by its name; None where there is none."""
     left = [c for c in columns if c not in taken and not _is_time(c)]
     found = [c for c in left if words_of(c.name) & (_REFERENCE_WORDS - {"d"})]
-    found = found or [c for c in left if _is_pressure(c) and "d" in words_of(c.name)]
+    found = found or [c for c in left if is_pressure(c) and "d" in words_of(c.name)]
     return _only(found, columns, "reference", where) if found else None
 
 
@@ -137,7 +137,8 @@ def _is_time(column: LogColumn) -> bool:
     return column.is_clock or column.unit in SECONDS_IN or named
 
 
-def _is_pressure(column: LogColumn) -> bool:
+def is_pressure(column: LogColumn) -> bool:
+    """Whether a column's unit or name says that it is a pressure, measured or asked for."""
     return column.unit in KPA_IN or bool(words_of(column.name) & _PRESSURE_WORDS)
 
 
