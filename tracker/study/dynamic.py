@@ -1,6 +1,6 @@
 """One dynamic trial: what every cycle measures, which cycles count, and the trial's values with their intervals.
 
-Cycles come from `cycles.py`, turns from `turning.py`, the geometry of a loop from `hysteresis.py`.
+Cycles come from `cycles.py`, turns from `corner.py` and `branches.py`, the geometry of a loop from `hysteresis.py`.
 """
 
 from __future__ import annotations
@@ -12,11 +12,12 @@ import numpy as np
 from scipy import stats
 
 from ..types import FloatArray
+from .branches import TurningAngle, turning_angle
+from .corner import turning_pressure
 from .cycles import CycleTrain, find_cycles
 from .hysteresis import hysteresis_ratio, hysteresis_ratio_extremes, loop_area_deg_kpa, mid_pressure_width_deg
 from .intervals import NAN, Estimate, combined, line_through, mean_of
 from .trial import TrialData
-from .turning import TurningAngle, turning_angle, turning_pressure
 
 # A gap that a straight line may bridge: 5 % of the cycle costs the area under 0.1 % (the loops are that smooth).
 _GAP_SHARE, _GAP_FRAMES = 0.05, 3.5
