@@ -84,8 +84,12 @@ async function start() {
     reload().catch(() => {});
   }
 
-  const refreshMarks = () => {
+  const followPointer = () => {
     stage.redraw("marks");
+    showPosition(view, options.keyboardCursor ?? pointer.over);
+  };
+  const refreshMarks = () => {
+    followPointer();
     showAngle(project, open);
     showHint(project, open, Boolean(options.keyboardCursor));
     showFrameState(open);
@@ -94,10 +98,6 @@ async function start() {
   for (const name of ["open", "points", "selection"]) open.addEventListener(name, refreshMarks);
   open.addEventListener("open", () => (options.keyboardCursor = null));
   options.addEventListener("change", () => stage.redraw("marks"));
-  const followPointer = () => {
-    stage.redraw("marks");
-    showPosition(view, options.keyboardCursor ?? pointer.over);
-  };
   view.addEventListener("change", followPointer);
   pointer.addEventListener("change", () => {
     followPointer();

@@ -47,7 +47,10 @@ export class OpenFrame extends EventTarget {
   /** The server's word on this frame; edits that are still on their way stay on top. */
   adopt(frame, unsent = null) {
     if (!this.frame || frame.id !== this.frame.id || this.isRepeat) return;
+    const before = this.points;
     this.#take({ ...this.frame, ...frame }, unsent);
+    // What was undone is what one wants to place again.
+    this.selected = this.keypoints.find((name) => before[name] && this.isMissing(name)) ?? this.selected;
     this.#tell("points");
   }
 
