@@ -51,11 +51,8 @@ def rising_edges(time_s: FloatArray, value: FloatArray, where: str) -> list[Onse
     """
     time_s, value = _known(time_s, value, where)
     low, high = float(value.min()), float(value.max())
-    middle = (low + high) / 2
-    # The noise of each level about itself, so that a lamp that is on most of the time is no noise.
-    on = value > middle
-    noise = max(float(np.std(value[on])), float(np.std(value[~on]))) if on.any() and not on.all() else 0.0
-    if high - low <= _CLEAR * noise or high == low:
+    on = value > (low + high) / 2
+    if high == low or value[on].mean() - value[~on].mean() <= _CLEAR * max(value[on].std(), value[~on].std()):
         raise StudyError(f"{where}: expected a step between two levels, found none ({low:g} to {high:g})")
     after = np.flatnonzero(on[1:] & ~on[:-1]) + 1
     if not len(after):
@@ -89,7 +86,10 @@ def leaving_rest(time_s: FloatArray, value: FloatArray, where: str) -> Onset:
         raise StudyError(
             f"{where}: expected a rest of {_REST_S:g} s and an onset after it, got too few samples"
         )
-    rest, noise = float(np.mean(value[:n_rest])), float(np.std(value[:n_rest], ddof=1))
+    rest = float(np.mean(value[:n_rest]))
+    # About a line, so that a signal that moves from the beginning is no noise.
+    line = np.polynomial.Polynomial.fit(time_s[:n_rest], value[:n_rest], 1)
+    noise = float(np.std(value[:n_rest] - line(time_s[:n_rest]), ddof=2))
     # A running mean over what lasts; a signal without noise still has digits.
     smooth = np.convolve(value - rest, np.full(n_lasting, 1 / n_lasting), mode="valid")
     clear = max(_CLEAR * noise / n_lasting**0.5, 1e-3 * float(np.ptp(value)))
