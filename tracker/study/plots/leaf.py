@@ -27,14 +27,17 @@ def leaf_figure(
     *,
     largest_pressure_kpa: float,
     largest_angle_deg: float,
+    apart: Sequence[FloatArray] = (),
     title: str = "",
     note: str = "",
 ) -> Figure:
-    """All cycles of a trial, their mean, the rectangle, and the way round.
+    """The cycles of a trial, their mean, the rectangle, and the way round.
 
     Parameters
     ----------
-    loops : (N, 2) of each complete cycle, pressure in kPa and angle in degrees, in the order of time
+    loops : (N, 2) of each cycle used, pressure in kPa and angle in degrees, in the order of time
+    largest_pressure_kpa, largest_angle_deg : sides of the rectangle; none is drawn where one is NaN
+    apart : complete cycles that the numbers leave out, drawn in grey
     note : what is written inside the rectangle, such as the ratio
     """
     with house_style():
@@ -46,6 +49,7 @@ def leaf_figure(
             look,
             largest_pressure_kpa=largest_pressure_kpa,
             largest_angle_deg=largest_angle_deg,
+            apart=apart,
             note=note,
         )
         axes.set_title(title)
@@ -59,44 +63,55 @@ def draw_leaf(
     *,
     largest_pressure_kpa: float,
     largest_angle_deg: float,
+    apart: Sequence[FloatArray] = (),
     note: str = "",
 ) -> None:
     """Draw a leaf with its rectangle into `axes` (see `leaf_figure`)."""
-    axes.add_collection(
-        LineCollection(loops, colors=look.colour, linewidths=0.4, alpha=0.55, zorder=2, label="cycles"),
-        autolim=False,
-    )
-    mean = mean_loop(loops)
-    axes.fill(mean[:, 0], mean[:, 1], color=look.colour, alpha=0.10, linewidth=0, zorder=1)
-    axes.plot(mean[:, 0], mean[:, 1], color=look.edge, linewidth=0.6, zorder=3, label="mean of the cycles")
-    for branch in ("loading", "unloading"):
-        _draw_arrow(axes, mean, look, branch)
-    axes.add_patch(
-        Rectangle(
-            (0, 0),
-            largest_pressure_kpa,
-            largest_angle_deg,
-            fill=False,
-            edgecolor="0.25",
-            linewidth=0.7,
-            linestyle=(0, (4, 2.5)),
-            zorder=2.5,
-            label="rectangle of the ratio",
+    _draw_cycles(axes, apart, colour="0.55", label="cycles apart", zorder=1.8)
+    _draw_cycles(axes, loops, colour=look.colour, label="cycles", zorder=2)
+    if len(loops):
+        mean = mean_loop(loops)
+        axes.fill(mean[:, 0], mean[:, 1], color=look.colour, alpha=0.10, linewidth=0, zorder=1)
+        axes.plot(
+            mean[:, 0], mean[:, 1], color=look.edge, linewidth=0.6, zorder=3, label="mean of the cycles"
         )
-    )
-    points = np.concatenate([*loops, [[largest_pressure_kpa, largest_angle_deg]]])
-    points = points[np.isfinite(points).all(axis=1)]
-    axes.set_xlim(limit_from_zero(float(points[:, 0].min()), float(points[:, 0].max())))
-    axes.set_ylim(limit_from_zero(float(points[:, 1].min()), float(points[:, 1].max())))
+        for branch in ("loading", "unloading"):
+            _draw_arrow(axes, mean, look, branch)
+    corner = np.array([[largest_pressure_kpa, largest_angle_deg]])
+    if np.isfinite(corner).all():
+        axes.add_patch(
+            Rectangle(
+                (0, 0),
+                largest_pressure_kpa,
+                largest_angle_deg,
+                fill=False,
+                edgecolor="0.25",
+                linewidth=0.7,
+                linestyle=(0, (4, 2.5)),
+                zorder=2.5,
+                label="rectangle of the ratio",
+            )
+        )
+    points = np.concatenate([*loops, *apart, corner])
+    lowest, highest = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+    axes.set_xlim(limit_from_zero(float(lowest[0]), float(highest[0])))
+    axes.set_ylim(limit_from_zero(float(lowest[1]), float(highest[1])))
     for limit, line in ((axes.get_xlim()[0], axes.axvline), (axes.get_ylim()[0], axes.axhline)):
         if limit < 0:
             line(0, color=QUIET, linewidth=0.6, zorder=1)
     axes.set_xlabel("pressure (kPa)")
     axes.set_ylabel("bending angle (°)")
     quiet_grid(axes, "both")
+    axes.locator_params(nbins=5)
     if note:
         # The corner of no pressure and a large angle is the one that a leaf leaves free.
         axes.text(0.05, 0.90, note, transform=axes.transAxes, va="top", linespacing=1.5)
+
+
+def _draw_cycles(axes: Axes, loops: Sequence[FloatArray], *, colour: str, label: str, zorder: float) -> None:
+    if len(loops):
+        lines = LineCollection(loops, colors=colour, linewidths=0.4, alpha=0.55, zorder=zorder, label=label)
+        axes.add_collection(lines, autolim=False)
 
 
 def mean_loop(loops: Sequence[FloatArray]) -> FloatArray:
@@ -136,7 +151,7 @@ def _draw_arrow(axes: Axes, mean: FloatArray, look: Look, branch: str) -> None:
         xy=tuple(mean[after]),
         xytext=tuple(mean[before]),
         arrowprops={
-            "arrowstyle": "-|>,head_length=0.5,head_width=0.24",
+            "arrowstyle": "-|>,head_length=0.9,head_width=0.42",
             "color": look.edge,
             "linewidth": 0,
             "shrinkA": 0,

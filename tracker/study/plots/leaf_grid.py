@@ -24,12 +24,15 @@ def leaf_grid_figure(
 ) -> Figure:
     """Every dynamic trial's cycles, with the design's mark at the tip of its leaf.
 
+    Trials without a nominal frequency or pressure have no panel.
+
     Parameters
     ----------
     dynamic : one row a trial, with trial, design, frequency_hz and pressure_pp_kpa
-    loops : (N, 2) of each complete cycle, pressure in kPa and angle in degrees, by trial
+    loops : (N, 2) of each cycle used, pressure in kPa and angle in degrees, by trial
     """
     shown = dynamic[[len(loops.get(name, ())) > 0 for name in dynamic["trial"]]]
+    shown = shown.dropna(subset=["frequency_hz", "pressure_pp_kpa"])
     frequencies = sorted(shown["frequency_hz"].unique())
     pressures = sorted(shown["pressure_pp_kpa"].unique())
     with house_style():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -19,8 +20,8 @@ def ratio_angle_figure(dynamic: pd.DataFrame, comparisons: pd.DataFrame, looks: 
     Parameters
     ----------
     dynamic : one row a trial, with design, frequency_hz, dynamic_response_deg, hysteresis_ratio, _low and _high
-    comparisons : one row a comparison at one angle, with frequency_hz, angle_deg, baseline, design,
-        baseline_ratio, design_ratio, improvement (a share); rows with NaN ratios are not drawn
+    comparisons : at most one row a frequency, with frequency_hz, angle_deg, baseline, design, baseline_ratio,
+        design_ratio, improvement (a share)
     """
     frequencies = sorted(dynamic["frequency_hz"].dropna().unique())
     with house_style():
@@ -35,7 +36,8 @@ def ratio_angle_figure(dynamic: pd.DataFrame, comparisons: pd.DataFrame, looks: 
             quiet_grid(axes, "both")
             axes.set_xlim(left=0)
         for axes, frequency in zip(grid, frequencies, strict=False):
-            _draw_comparison(axes, comparisons[comparisons["frequency_hz"] == frequency], looks)
+            for comparison in comparisons[comparisons["frequency_hz"] == frequency].to_dict("records"):
+                _draw_comparison(axes, comparison, looks)
         grid[0].set_ylabel("hysteresis ratio")
         used = [look for name, look in looks.items() if name in set(dynamic["design"])]
         figure.legend(
@@ -67,12 +69,8 @@ def _draw_design(axes: Axes, trials: pd.DataFrame, look: Look) -> None:
     )
 
 
-def _draw_comparison(axes: Axes, comparisons: pd.DataFrame, looks: Mapping[str, Look]) -> None:
-    """The largest improvement that can be compared, as the paper shows it: a dashed line and both crossings."""
-    known = comparisons.dropna(subset=["baseline_ratio", "design_ratio"])
-    if known.empty:
-        return
-    best = known.loc[known["improvement"].idxmax()]
+def _draw_comparison(axes: Axes, best: Mapping[str, Any], looks: Mapping[str, Look]) -> None:
+    """A dashed line at the angle of a comparison and both crossings, as the paper shows it."""
     angle, ratios = float(best["angle_deg"]), (float(best["baseline_ratio"]), float(best["design_ratio"]))
     axes.axvline(angle, color=INK, linewidth=0.8, linestyle=(0, (4, 2.5)), zorder=2)
     for ratio in ratios:

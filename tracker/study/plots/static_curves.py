@@ -22,7 +22,7 @@ def static_figure(steps: pd.DataFrame, trials: Sequence[TrialData], looks: Mappi
 
     Parameters
     ----------
-    steps : one row a stair, with trial, design, pressure_kpa, angle_deg, angle_deg_low, angle_deg_high, model_angle_deg
+    steps : one row a stair, with trial, design, number, pressure_kpa, angle_deg, angle_deg_low, angle_deg_high, model_angle_deg
     trials : those of the steps, for their model curves
     """
     with house_style():
@@ -30,7 +30,7 @@ def static_figure(steps: pd.DataFrame, trials: Sequence[TrialData], looks: Mappi
         angles, residuals = figure.subplots(2, 1, sharex=True, height_ratios=(5, 2))
         for trial in trials:
             look = looks[trial.design]
-            here = steps[steps["trial"] == trial.name].sort_values("pressure_kpa")
+            here = steps[steps["trial"] == trial.name].sort_values("number")
             if trial.model_pressure_kpa is not None and trial.model_angle_deg is not None:
                 angles.plot(
                     trial.model_pressure_kpa,

@@ -24,16 +24,18 @@ def trial_sheet(
     *,
     largest_pressure_kpa: float = float("nan"),
     largest_angle_deg: float = float("nan"),
+    apart: Sequence[FloatArray] = (),
     note: str = "",
 ) -> Figure:
-    """One trial's time series, and to its right the leaf where it has complete cycles.
+    """One trial's time series, and to its right the leaf where it has complete cycles (see `leaf.leaf_figure`).
 
     Axes stand at fixed places (no layout is solved), so that a study's hundred sheets are drawn quickly and
     can be laid over each other.
     """
     with house_style():
         figure = new_figure(PAGE_MM, 62, layout=None)
-        right = 0.655 if len(loops) else 0.985
+        with_leaf = len(loops) + len(apart) > 0
+        right = 0.655 if with_leaf else 0.985
         grid = figure.add_gridspec(
             2, 1, left=0.074, right=right, bottom=0.135, top=0.875, hspace=0.13, height_ratios=(3, 2)
         )
@@ -42,7 +44,7 @@ def trial_sheet(
         draw_time_series(angle_axes, pressure_axes, trial, look)
         for axes in (angle_axes, pressure_axes):
             axes.yaxis.set_label_coords(-0.08, 0.5)
-        if len(loops):
+        if with_leaf:
             leaf_axes = figure.add_axes((0.735, 0.135, 0.25, 0.74))
             draw_leaf(
                 leaf_axes,
@@ -50,6 +52,7 @@ def trial_sheet(
                 look,
                 largest_pressure_kpa=largest_pressure_kpa,
                 largest_angle_deg=largest_angle_deg,
+                apart=apart,
                 note=note,
             )
         figure.text(0.074, 0.955, trial.name, fontsize=8, va="center")
