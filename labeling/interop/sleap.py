@@ -256,7 +256,7 @@ def export_sleap(project: Project, out: str | Path, *, videos: Sequence[str | Pa
     frames, suggestions = [], []
     for video in labelled:
         # One for each kind of picture: where they are mixed, sleap-io 0.9.5 stores some with red for blue.
-        for pictures in _by_suffix(video.pictures):
+        for pictures in [video.pictures] if by_reference else _by_suffix(video.pictures):
             if by_reference:
                 theirs = sleap_io.Video.from_filename(str(files[video.video].resolve()))
             else:

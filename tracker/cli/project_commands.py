@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,7 +16,15 @@ if TYPE_CHECKING:
 ProjectArgument = Annotated[Path, typer.Argument(help="The project's folder.", metavar="PROJECT")]
 
 _KEYPOINTS = "base_1,base_2,tip_1,tip_2"
-_FORMATS = "dlc, coco, sleap or lightning-pose"
+
+
+class LabelFormat(StrEnum):
+    """Foreign forms of labels; those of `bendtrack.labeling.interop.formats`."""
+
+    DLC = "dlc"
+    COCO = "coco"
+    SLEAP = "sleap"
+    LIGHTNING_POSE = "lightning-pose"
 
 
 def new(
@@ -47,9 +56,7 @@ def import_labels(
             "COCO keypoints (json), or SLEAP labels (.slp)."
         ),
     ],
-    format: Annotated[
-        str | None, typer.Option(help=f"Whose form: {_FORMATS}.", show_default="recognised")
-    ] = None,
+    format: Annotated[LabelFormat | None, typer.Option(help="Whose form.", show_default="recognised")] = None,
     images: Annotated[
         Path | None,
         typer.Option(help="Where the pictures are that the labels name.", show_default="beside the labels"),
@@ -92,8 +99,8 @@ def export_labels(
     project: ProjectArgument,
     out: Annotated[Path, typer.Argument(help="A folder that is new or empty; for SLEAP a new .slp file.")],
     format: Annotated[
-        str | None,
-        typer.Option(help=f"Whose form: {_FORMATS}.", show_default="dlc; sleap where OUT ends in .slp"),
+        LabelFormat | None,
+        typer.Option(help="Whose form.", show_default="dlc; sleap where OUT ends in .slp"),
     ] = None,
     video: Annotated[
         list[Path] | None,

@@ -10,9 +10,10 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 import pytest
 
-from bendtrack.labeling.interop.formats import export_labels, open_labels, recognise
+from bendtrack.labeling.interop.formats import FORMATS, export_labels, open_labels, recognise
 from bendtrack.labeling.interop.source import PictureFinder, distinct_names, foreign_path
 from bendtrack.labeling.store import LabelStore
+from bendtrack.tracker.cli.project_commands import LabelFormat
 from bendtrack.tracker.errors import LabelError
 from bendtrack.tracker.project import Project
 
@@ -48,6 +49,16 @@ def test_every_form_goes_out_and_comes_back(
     assert ran.status == 2
     assert ran.err.startswith("error: expected a new ")
     assert sorted(path for path in tmp_path.rglob("*") if path.is_file()) == before
+
+
+def test_the_forms_are_known_by_the_same_names_everywhere(rich: Project, tmp_path: Path) -> None:
+    assert tuple(LabelFormat) == FORMATS
+    for attempt in (
+        lambda: export_labels(rich, tmp_path / "out", "yolo"),
+        lambda: open_labels(rich.root, "yolo"),
+    ):
+        with pytest.raises(LabelError, match="one of dlc, coco, sleap, lightning-pose, got 'yolo'"):
+            attempt()
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -106,7 +117,6 @@ def test_a_form_is_recognised(tmp_path: Path, files: dict[str, str], form: str) 
         ("video.mp4", (), "expected a CSV file in UTF-8"),
         ("notes.txt", ("--format", "coco"), "expected JSON, got a mistake"),
         ("notes.txt", ("--format", "lightning-pose"), "expected a label file whose first rows"),
-        ("notes.txt", ("--format", "yolo"), "one of dlc, coco, sleap, lightning-pose, got 'yolo'"),
         ("empty", (), "expected labels (labeled-data/<video>/CollectedData_<scorer>.csv), got none"),
         ("empty", ("--format", "coco"), "expected labelled COCO keypoints, got none"),
         (
@@ -140,9 +150,6 @@ def test_bad_input_is_one_line(
 
 
 def test_export_refuses_in_one_line(bendtrack, rich: Project, tmp_path: Path) -> None:
-    ran = bendtrack("export", rich.root, tmp_path / "out", "--format", "yolo")
-    assert ran.status == 2
-    assert ran.err == "error: expected a format, one of dlc, coco, sleap, lightning-pose, got 'yolo'\n"
     Project.create(tmp_path / "new", keypoints=("a", "b", "c", "d"))
     for form in ("dlc", "coco", "lightning-pose"):
         ran = bendtrack("export", tmp_path / "new", tmp_path / "out", "--format", form)
