@@ -18,8 +18,6 @@ from ..types import FloatArray
 
 # Samples fitted at once, so that a log at 100 kHz does not fill the memory.
 _BLOCK = 2_000_000
-# A frame with less than this share of its samples stands at a gap.
-_MIN_SHARE = 0.5
 
 
 def pressure_at_frames(
@@ -50,8 +48,9 @@ def pressure_at_frames(
     first = np.searchsorted(log_time_s, frame_time_s - half_s - 1e-9)
     last = np.searchsorted(log_time_s, frame_time_s + half_s + 1e-9)
     width = int((last - first).max())
-    expected = max(2.0, 2 * half_s / step_s)
-    per_block = max(1, _BLOCK // max(width, 1))
+    if width < 2:
+        return pressure, pressure.copy()
+    per_block = max(1, _BLOCK // width)
     for begin in range(0, len(frame_time_s), per_block):
         block = slice(begin, begin + per_block)
         index = first[block, None] + np.arange(width)
@@ -60,12 +59,11 @@ def pressure_at_frames(
         dt = np.where(inside, log_time_s[index] - frame_time_s[block, None], 0.0)
         value = np.where(inside, log_pressure_kpa[index], 0.0)
         n = inside.sum(axis=1)
-        # A frame is within the log if samples lie on both sides of it, or one as near as the next would be.
+        # A frame with samples on one side of it only stands at an end or in a gap of the log.
         before = np.where(inside, dt, np.inf).min(axis=1) <= 1e-9
         after = np.where(inside, dt, -np.inf).max(axis=1) >= -1e-9
-        sound = before & after & (n >= max(2.0, _MIN_SHARE * expected))
+        sound = before & after & (n >= 2)
         pressure[block] = np.where(sound, _line_at_zero(dt, value, n), np.nan)
-    # At the log's two ends the window is half outside.
     rate = np.full(len(frame_time_s), np.nan)
     for begin, end in _runs(np.isfinite(pressure)):
         if end - begin > 1:
