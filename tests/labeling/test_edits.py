@@ -197,6 +197,15 @@ def test_without_its_journal_a_project_is_whole(study) -> None:
     assert fresh.undo() is None
 
 
+def test_the_private_folder_can_be_deleted_under_a_server(study) -> None:
+    hand = Hand(study)
+    hand.edit(0, points=POINTS)
+    shutil.rmtree(study.root / ".bendtrack")
+    hand.edit(1, points=POINTS)
+    assert [hand.undo().image, hand.undo()] == [study.image(1), None]
+    assert hand.state(0).points == POINTS
+
+
 def test_a_full_disk_is_an_error_and_the_edit_is_not_lost(study) -> None:
     hand = Hand(study)
     for index in range(12):

@@ -102,9 +102,10 @@ def evaluate(
                 " label more, train with --held-out 0.1, or use --folds 5"
             )
         talk.say(f"'{folder.name}' on {len(frames)} frames that it was not trained on")
-        evaluation = judge(folder, checkpoint, frames, **_labeller_spread(opened))
+        spread = _labeller_spread(opened)
+        evaluation = judge(folder, checkpoint, frames, **spread)
         show_evaluation(evaluation)
-        _show_labeller_spread(opened, evaluation)
+        _show_labeller_spread(evaluation, **spread)
         return
     if model is not None:
         raise BendtrackError("expected --model or --folds, got both: --folds trains networks of its own")
@@ -116,6 +117,7 @@ def evaluate(
         evaluation = cross_validate(
             frames, opened.keypoints, _definition(opened, frames), settings, folds, progress=progress
         )
+    spread = _labeller_spread(opened)
     _write(
         evaluation,
         folder,
@@ -123,11 +125,11 @@ def evaluate(
         judged_on="cross-validation",
         folds=folds,
         settings=settings.to_dict(),
-        **_labeller_spread(opened),
+        **spread,
     )
     talk.say(f"{folds} networks, each judged on the frames that it was not trained on")
     show_evaluation(evaluation)
-    _show_labeller_spread(opened, evaluation)
+    _show_labeller_spread(evaluation, **spread)
     talk.say(f"Figures: {folder}")
 
 
@@ -266,12 +268,11 @@ def _labeller_spread(project: Project) -> dict[str, Any]:
     return {} if spread is None else {"labeller_spread": spread.to_json()}
 
 
-def _show_labeller_spread(project: Project, evaluation: Evaluation) -> None:
+def _show_labeller_spread(evaluation: Evaluation, labeller_spread: dict[str, Any] | None = None) -> None:
     """Print it beside the network's error, in the same measure."""
-    found = _labeller_spread(project).get("labeller_spread")
-    if found is None:
+    if labeller_spread is None:
         return
-    summary = evaluation.summary()
+    found, summary = labeller_spread, evaluation.summary()
     own = [f"{found['px']:.2f} px [{found['px_low']:.2f}, {found['px_high']:.2f}]"]
     network = [f"{summary['error_px']['rms'] / 2**0.5:.2f} px"]  # a distance has two coordinates
     if found["deg"] is not None and summary["angle_error_deg"]["rms"] is not None:
