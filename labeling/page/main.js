@@ -172,13 +172,16 @@ async function start() {
   inherit(identity, (edits) => queue.adopt(edits));
   await openFirst();
 
+  /** The frame of the address, or the next to do; nothing where that one is open already. */
   async function openFirst() {
     const frames = await reload();
     if (!list.rows.length) {
+      open.close();
       showEmpty("No frames to label yet", "Choose some from your videos; they appear here by themselves:", "bendtrack frames PROJECT VIDEO…");
       return;
     }
     hideEmpty();
+    if (list.get(open.frame?.id)) return;
     const wanted = decodeURIComponent(location.hash.slice(1));
     await desk.go(list.get(wanted) ? wanted : (frames.next ?? list.rows[0].id));
     if (document.activeElement === document.body) byId("stage").focus({ preventScroll: true });
@@ -190,9 +193,8 @@ async function start() {
       setBannerUnlessRepeating(null);
       queue.setConnected(true);
       if (serverSeen) {
-        await reload().catch(() => {});
+        await openFirst().catch(() => {});
         if (open.frame) desk.refresh(open.frame.id);
-        else if (list.rows.length) openFirst();
       }
       serverSeen = true;
     },
@@ -208,11 +210,7 @@ async function start() {
       if (list.get(id)) desk.refresh(id);
       else reloadSoon();
     },
-    async frames() {
-      const none = !list.rows.length;
-      if (none) await openFirst();
-      else await reload();
-    },
+    frames: () => openFirst().catch(() => {}),
     predicted({ id }) {
       if (id === open.frame?.id) desk.refreshGhosts();
       reloadSoon();

@@ -40,6 +40,8 @@ export class OpenFrame extends EventTarget {
 
   close() {
     this.frame = null;
+    this.points = {};
+    this.notVisible.clear();
     this.locked = true;
     this.#tell("open");
   }

@@ -1,4 +1,4 @@
-"""The labelling page as users have it: served by the installed command, shown by a browser, used by mouse and keyboard."""
+"""The labelling page as users have it: served by the installed command, in a browser, with mouse and keyboard."""
 
 from __future__ import annotations
 

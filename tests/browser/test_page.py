@@ -127,6 +127,30 @@ def test_ghosts_copies_and_the_film_strip(make_desk, sample_project, sample_trut
     assert page.locator("#progress-words").inner_text() == "4 of 9 labelled"
 
 
+@pytest.mark.slow
+def test_the_network_as_ghosts(make_desk, trained_project) -> None:
+    """A network that has learnt next to nothing: it disagrees with every label, and the page says so."""
+    labeller = make_desk(trained_project.root).page()
+    page = labeller.page
+    worst = page.get_by_role("radio", name="Worst")
+    expect(worst).to_contain_text("10", timeout=60_000)  # looked at one after the other, unasked
+    worst.click()
+    distances = [float(w.split()[1]) for w in page.locator(".film-frame .fine").all_inner_texts()]
+    assert distances == sorted(distances, reverse=True)
+    assert distances[0] > 5
+    image = page.locator(".film-frame").first.get_attribute("data-id").partition("/")[2]
+    labeller.open(image, "arm")
+    expect(page.locator(".point.doubted")).not_to_have_count(0)
+    assert f"{distances[0]:.1f} px" in page.locator("#points").inner_text()
+    label = labeller.xy_on_disk(image, "arm")
+    labeller.press("g")  # nothing is missing: no label is replaced by accident
+    assert labeller.xy_on_disk(image, "arm") == pytest.approx(label)
+    labeller.press("Shift+G")
+    labeller.saved()
+    expect(page.locator(".point.doubted")).to_have_count(0)
+    assert np.abs(labeller.xy_on_disk(image, "arm") - label).max() > 2
+
+
 def test_blind_repeats(make_desk, sample_project, sample_truth) -> None:
     store = LabelStore.of(sample_project)
     store.write("video", sample_truth)
@@ -226,3 +250,18 @@ def test_tone_theme_help_and_loupe(labeller) -> None:
 def points_shown(labeller) -> np.ndarray:
     words = labeller.page.locator("#points .point-value").all_inner_texts()
     return np.array([[float(c) for c in w.split()] if len(w.split()) == 2 else [np.nan] * 2 for w in words])
+
+
+def test_frames_that_come_and_go(make_desk, sample_project) -> None:
+    desk = make_desk(sample_project.root)
+    labeller = desk.page()
+    page, folder = labeller.page, sample_project.labels_dir / "video"
+    pictures = {path: path.read_bytes() for path in folder.glob("*.png")}
+    for path in pictures:
+        path.unlink()
+    expect(page.locator("#empty")).to_contain_text("bendtrack frames", timeout=15_000)
+    for path, data in list(pictures.items())[:3]:
+        path.write_bytes(data)
+    expect(page.locator(".film-frame")).to_have_count(3, timeout=15_000)
+    expect(page.locator("#points")).to_be_visible()
+    desk.problems[:] = [problem for problem in desk.problems if "404" not in problem]  # what was not there
