@@ -12,6 +12,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import PressureLogError
 from ..types import FloatArray
@@ -45,6 +46,7 @@ class PressureLog:
     sync : (M,) the sync channel as logged, if there is one
     started_s : seconds since 1970 (UTC, or of a clock without zone) of time 0, where dates were logged
     time_sd_s : uncertainty that the log's own clock adds (a clock that ticks coarsely)
+    saturated : (M,) samples held at an end of the sensor's range; None: there are none
     warnings : a line each
     provenance : JSON-ready: file, hash, columns, units, rate
     """
@@ -55,6 +57,7 @@ class PressureLog:
     sync: FloatArray | None = None
     started_s: float | None = None
     time_sd_s: float = 0.0
+    saturated: NDArray[np.bool_] | None = None
     warnings: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
@@ -88,6 +91,7 @@ def read_pressure_log(path: str | Path, log_format: LogFormat | None = None) -> 
     if len(clock.rows) < _MIN_SAMPLES:
         raise PressureLogError(f"{path}: expected at least {_MIN_SAMPLES} samples in the order of time")
     time_s, kpa = clock.time_s - log_format.lag_s, kpa[clock.rows]
+    faults, saturated = pressure_faults(time_s, kpa)
     rate_hz = 1 / usual_step_s(time_s)
     if time is not None and log_format.rate_hz is not None and abs(rate_hz / log_format.rate_hz - 1) > 0.01:
         warnings.append(f"rate_hz = {log_format.rate_hz:g} was given, the log's times say {rate_hz:.5g}")
@@ -101,7 +105,8 @@ def read_pressure_log(path: str | Path, log_format: LogFormat | None = None) -> 
         started_s=started_s,
         # A sample's true time lies anywhere in its tick.
         time_sd_s=clock.tick_s / 12**0.5,
-        warnings=(*warnings, *clock.warnings, *pressure_faults(time_s, kpa)),
+        saturated=saturated if saturated.any() else None,
+        warnings=(*warnings, *clock.warnings, *faults),
         provenance={
             "name": path.name,
             "sha256": file_sha256(path),
