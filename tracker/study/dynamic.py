@@ -201,6 +201,8 @@ def _refusal(measured: _Measured, place: int) -> str:
     time_s = trial.time_s
     if start < time_s[0] - 2 * trial.frame_s or end > time_s[-1] + 2 * trial.frame_s:
         return f"the video covers {time_s[0]:.2f} to {time_s[-1]:.2f} s, the cycle {start:.2f} to {end:.2f} s"
+    if np.any((trial.saturated_s >= start) & (trial.saturated_s <= end)):
+        return "the pressure sensor was saturated in it"
     frames, missing, gap_s, gap_at_s = _gaps(trial, start, end)
     if frames - missing < _FEWEST_FRAMES:
         return f"{frames - missing} frames with an angle and a pressure, fewer than {_FEWEST_FRAMES}"
