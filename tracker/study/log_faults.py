@@ -72,10 +72,10 @@ def _saturation(values: FloatArray, held: int, step_s: float) -> tuple[list[str]
     lengths = np.diff(np.concatenate([starts, [len(values)]]))
     level = values[starts]
     inner = np.ones(len(starts), dtype=bool)
-    inner[[0, -1]] = False  # a rest before and after the waves is none
+    inner[[0, -1]] = False  # a rest at the bottom, before and after the waves, is none
     found, saturated = [], np.zeros(len(starts), dtype=bool)
     for end, extreme in (("upper", values.max()), ("lower", values.min())):
-        at_end = (level == extreme) & inner
+        at_end = (level == extreme) & (inner | (end == "upper"))
         elsewhere = lengths[(level != extreme) & inner]
         if not at_end.any() or not len(elsewhere):
             continue

@@ -18,6 +18,7 @@ from bendtrack.tracker.study.trial_data import load_trials
 from bendtrack.tracker.synthetic.cycling import CyclingTrial
 from bendtrack.tracker.synthetic.log_files import write_csv_log
 from bendtrack.tracker.synthetic.recording import record
+from bendtrack.tracker.synthetic.stairs import StaircaseTrial
 
 PERIOD_S = 4.0
 TRIAL = CyclingTrial(0.25, 50.0, 118.06, 0.229, residual_deg=4.0, cycles=6, first_differs=False)
@@ -127,6 +128,22 @@ def test_a_saturated_sensor_gives_no_number(tmp_path, end_kpa):
     assert "cycle 1 is not used: the pressure sensor was saturated in it" in warnings
     assert_no_number(row)
     assert results.cycles.empty or results.cycles.hysteresis_ratio.isna().all()
+
+
+def test_stairs_beyond_the_sensors_range_are_left_out(tmp_path):
+    stairs = StaircaseTrial(182.0)
+    recording = record(stairs, seed=8)
+    write_results(recording.angle_table("one"), tmp_path, "one")
+    write_csv_log(
+        tmp_path / "log.csv", {**columns(recording), "pressure_kpa": np.minimum(recording.log_kpa, 42.0)}
+    )
+    (tmp_path / "study.toml").write_text(
+        '[[trials]]\ndesign = "ours"\nkind = "static"\nangles = "one.csv"\nlog = "log.csv"\n'
+    )
+    results = analyse_study(load_trials(read_study(tmp_path / "study.toml")), baseline=None)
+    assert "saturation: the upper end, 42 kPa" in " | ".join(results.warnings.warning)
+    np.testing.assert_allclose(results.static_steps.pressure_kpa, np.arange(0, 41, 5), atol=0.1)
+    np.testing.assert_allclose(results.static_steps.angle_deg, stairs.steady_deg[:9], atol=0.3)
 
 
 def test_an_angle_that_leaves_the_picture_gives_no_largest_angle(tmp_path):
