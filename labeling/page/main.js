@@ -1,7 +1,7 @@
 // The page from the start: fetches the project, makes the parts and connects them.
 
 import { makeActions } from "./actions.js";
-import { Refused, get, send } from "./api.js";
+import { Refused, Unreachable, get, send } from "./api.js";
 import { chooseVersion } from "./conflict_dialog.js";
 import { connectControls } from "./controls.js";
 import { Desk } from "./desk.js";
@@ -32,11 +32,19 @@ import { View } from "./view.js";
 const LIST_AGAIN_MS = 1500;
 
 startTheme(byId("theme"));
-start().catch((error) => {
-  const noSession = error instanceof Refused && [401, 403].includes(error.status);
-  if (noSession) showEmpty("This page has no session", "Open the address that this command prints:", "bendtrack label PROJECT");
-  else showEmpty("The server does not answer", "Start it, then load this page again:", "bendtrack label PROJECT");
-  if (!noSession) console.error(error);
+start().catch(async (error) => {
+  if (error instanceof Refused && [401, 403].includes(error.status)) {
+    showEmpty("This page has no session", "Open the address that this command prints:", "bendtrack label PROJECT");
+    return;
+  }
+  if (!(error instanceof Refused || error instanceof Unreachable)) throw error;
+  showEmpty("The server does not answer", `${error.message}. The page goes on when this command runs:`, "bendtrack label PROJECT");
+  let answer = null;
+  while (!answer) {
+    await new Promise((resolve) => setTimeout(resolve, LIST_AGAIN_MS));
+    answer = await get("/api/frames").catch(() => null);
+  }
+  location.reload();
 });
 
 async function start() {
