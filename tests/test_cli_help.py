@@ -19,7 +19,7 @@ def test_these_are_the_commands(bendtrack) -> None:
     ran = bendtrack("--help")
     assert ran.status == 0
     listed = ran.out.split("Commands:")[1].split("\n\n")[0]
-    assert tuple(line.split()[0] for line in listed.strip().splitlines()) == COMMANDS
+    assert tuple(line.split()[0] for line in listed.strip().splitlines()) == (*COMMANDS, "labels")
     assert "..." not in listed  # no sentence is cut off
     assert {command.name for command in app.registered_commands} == set(COMMANDS)
 

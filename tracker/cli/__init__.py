@@ -10,7 +10,7 @@ from collections.abc import Callable
 from .app import app
 from .demo_command import demo
 from .doctor_command import doctor
-from .frame_commands import frames
+from .frame_commands import frames, labels
 from .label_command import label
 from .network_commands import evaluate, train
 from .project_commands import export_labels, import_labels, new
@@ -35,6 +35,7 @@ _COMMANDS: dict[str, Callable[..., None]] = {  # in the order of --help
 }
 for _name, _command in _COMMANDS.items():
     app.command(_name)(_command)
+app.add_typer(labels, name="labels")
 
 
 def main() -> None:
