@@ -130,8 +130,13 @@ class Annotations:
         LabelError
             A label file or the notes are malformed, or a link out of the project.
         """
-        if video not in self.videos():
-            return None
+        return self._folder(video) if video in self.videos() else None
+
+    def folders(self) -> list[VideoFolder]:
+        """All of them, by name. Errors as in `folder`."""
+        return [self._folder(video) for video in self.videos()]
+
+    def _folder(self, video: str) -> VideoFolder:
         stamps = self._stamps(self.store.labels_dir / video)
         with self._cache_lock:
             known = self._cache.get(video)
@@ -143,10 +148,6 @@ class Annotations:
         with self._cache_lock:
             self._cache[video] = (stamps, folder)
         return folder
-
-    def folders(self) -> list[VideoFolder]:
-        """All of them, by name."""
-        return [folder for folder in map(self.folder, self.videos()) if folder is not None]
 
     def write(self, video: str, image: str, before: FrameState, after: FrameState) -> None:
         """Put a frame from one state into another; what is equal in both is not touched.
