@@ -40,6 +40,7 @@ def figure_families() -> tuple[str, ...]:
             record.string = _FAMILY
     path = Path(_folder().name) / "figures.ttf"
     subset.save_font(font, str(path), options)
+    font.close()
     font_manager.fontManager.addfont(path)
     return _FAMILY, WHOLE_FAMILY
 
