@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -78,13 +79,17 @@ def _analyse(path: Path, out: Path | None) -> None:
     folder.mkdir(parents=True, exist_ok=True)  # now, not after a minute
     trials, problems = _loaded(study)
     if trials:
-        results = analyse_study(trials, baseline=study.baseline)
+        baseline = study.baseline
+        if baseline not in (None, *(trial.design for trial in trials)):
+            talk.warn(f"no trial of the baseline '{baseline}' could be read: nothing is compared with it")
+            baseline = None
+        results = analyse_study(trials, baseline=baseline, angles_deg=study.compare_angles_deg or None)
         warnings = results.warnings
         for trial, warning in list(zip(warnings["trial"], warnings["warning"], strict=True))[:_MAX_WARNINGS]:
             talk.warn(f"{trial}: {warning}")
         if len(warnings) > _MAX_WARNINGS:
             talk.warn(f"{len(warnings) - _MAX_WARNINGS} more, in the report")
-        report = write_report(results, trials, study, folder)
+        report = write_report(results, trials, study, folder, workers=(os.cpu_count() or 1) - 1)
         talk.say(f"{len(trials)} of {len(study.trials)} trials analysed -> {report}")
     if problems:
         others = "the others are done" if trials else "so nothing was analysed"

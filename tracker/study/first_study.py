@@ -185,6 +185,12 @@ def _text(folder: Path, trials: list[_Found], left: list[str]) -> str:
         document.add(
             tomlkit.comment(f'baseline = "{names[0]}"     # the design that the others are compared with')
         )
+    for line in (
+        "compare_angles_deg = [85, 140]          # where hysteresis ratios are compared, if not chosen from the data",
+        'keep_flagged = ["low_likelihood"]       # rows of angle tables that are used though they are flagged',
+        "angle_common_sd_deg = 0.5               # uncertainty that all angles of a trial share",
+    ):
+        document.add(tomlkit.comment(line))
     document.add(tomlkit.nl())
     document.add("log_format", _log_format(folder / trials[0].files["log"]))
     document.add("sync", _sync())

@@ -37,6 +37,7 @@ title = "Nine designs"
 results = "../project"
 keep_flagged = ["low_likelihood"]
 angle_common_sd_deg = 0.4
+compare_angles_deg = [85, 140]
 
 [log_format]
 pressure_unit = "psi"
@@ -67,6 +68,7 @@ sync = { method = "sync event", led_region_px = [3, 4, 5, 6] }
         "original",
         tmp_path / "../project",
     )
+    assert (study.keep_flagged, study.compare_angles_deg) == (("low_likelihood",), (85, 140))
     first, stairs = study.trials
     assert (first.name, first.kind, first.frequency_hz, first.pressure_pp_kpa) == (
         "a",
