@@ -55,7 +55,7 @@ class StudyResults:
     improvements : each design against the baseline, dynamic response at each pressure and ratio at each angle
     ranking : designs from best to worst under each condition; `apart_from_next` after Holm's correction
     pairwise : every difference of two designs; `p_holm` corrects for all pairs under the same condition
-    loops : (N, 2) kPa and deg of every complete cycle, by trial
+    loops : (N, 2) kPa and deg of every cycle that could be measured, by trial
     warnings : columns trial, warning
     confidence : of all intervals
     baseline : the design that improvements refer to, or None

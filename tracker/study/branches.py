@@ -6,21 +6,28 @@ read where the branches before and after a turn meet. Where the pressure turns i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..types import FloatArray
 from .corner import TurningPressure
 
-# The branches are fitted with polynomials over this share of the pressure's range next to the turn: order, share,
-# and the frames that each branch must have there. The richer one bends with the curve further than the plainer.
-_BRANCHES = ((4, 0.7, 24), (2, 0.35, 4))
+# The branches are fitted with polynomials over a share of the pressure's range next to the turn: order, share, and
+# the frames that each branch must have there. The first that describes the frames is taken, else the
+# one nearest to them.
+_BRANCHES = ((4, 0.7, 24), (4, 0.4, 16), (3, 0.25, 8), (3, 0.5, 7), (2, 0.35, 4), (2, 0.15, 4), (1, 0.1, 4))
+# It does where the frames lie around it as they do around their neighbours, but for this factor in variance and
+# this share of the angle's range.
+_ADEQUATE, _MISFIT_SHARE = 1.2, 0.002
 # How late the angle's turn may come against the pressure's, as a standard deviation in frames: clock shift and lag.
 _LAG_FRAMES = 2.0
 # Within this many frames of a turn the pressure's corner is told by the curve through the log.
 _CORNER_FRAMES = 1.5
 _STEPS = 3
+# The angle goes on beyond the meeting where the turns together say so by this many standard deviations, and this
+# share of the angles there.
+_CLEAR_SD, _CLEAR_SHARE = 4.0, 0.01
 
 
 @dataclass(frozen=True)
@@ -31,10 +38,12 @@ class TurningAngle:
     ----------
     deg : (C,) of each cycle; NaN where a branch has too few frames near the turn
     common_sd_deg : standard uncertainty that all of them share, because they share a lag and a turning pressure
+    misfit_deg : how far off the frames the branches lie where none describes them (RMS); else 0
     """
 
     deg: FloatArray
     common_sd_deg: float
+    misfit_deg: float = 0.0
 
 
 def turning_angle(
@@ -62,27 +71,51 @@ def turning_angle(
     bounds_s : (C, 2) from which time to which the frames belong to each turn
     """
     known = np.isfinite(angle_deg) & np.isfinite(pressure_kpa) & np.isfinite(rate_kpa_s)
+    frames = (time_s[known], angle_deg[known], pressure_kpa[known], rate_kpa_s[known])
     frame_s = float(np.median(np.diff(time_s))) if time_s.size > 1 else float("nan")
-    found = _meetings(
-        time_s[known], angle_deg[known], pressure_kpa[known], rate_kpa_s[known], turning, bounds_s, frame_s
+    found = TurningAngle(np.full(len(bounds_s), np.nan), float("nan"))
+    if known.sum() < 3:
+        return found
+    noise_deg = frame_noise_deg(angle_deg[known])
+    allowed = _ADEQUATE * noise_deg**2 + (_MISFIT_SHARE * float(np.ptp(angle_deg[known]))) ** 2
+    least = float("inf")
+    for order, share, fewest in _BRANCHES:
+        meetings = _meetings(*frames, turning, bounds_s, frame_s, order, share, fewest)
+        if meetings is None:
+            continue
+        angle, variance = _fitted(meetings, len(bounds_s), frame_s)
+        if variance < least:
+            found, least = angle, variance
+        if variance <= allowed:
+            return angle
+    # What the branches miss, the angle where they meet may miss too.
+    misfit_deg = max(least - noise_deg**2, 0.0) ** 0.5
+    return replace(
+        found, misfit_deg=misfit_deg, common_sd_deg=float(np.hypot(found.common_sd_deg, misfit_deg))
     )
-    values_deg = np.full(len(bounds_s), np.nan)
-    if found is None:
-        return TurningAngle(values_deg, float("nan"))
-    corner_sd = turning.common_sd_kpa if np.isfinite(turning.common_sd_kpa) else 0.0
-    sd = np.array([_LAG_FRAMES * frame_s, max(corner_sd, 1e-6)])
+
+
+def frame_noise_deg(angle_deg: FloatArray) -> float:
+    """Noise of one frame's angle, from how much frames leave the line through their neighbours."""
+    return 1.4826 * float(np.median(np.abs(np.diff(angle_deg, n=2)))) / 6**0.5
+
+
+def _fitted(meetings: _Meetings, count: int, frame_s: float) -> tuple[TurningAngle, float]:
+    """The angles of `count` turns, and the variance of the frames around the branches, deg^2."""
+    corner_sd = meetings.turning.common_sd_kpa
+    sd = np.array([_LAG_FRAMES * frame_s, max(corner_sd if np.isfinite(corner_sd) else 0.0, 1e-6)])
     common = np.zeros(2)  # lag in s, corner in kPa
-    step = np.zeros(2)
     for _ in range(_STEPS):
-        fit = found.linearised(common, sd)
-        noise = max(float(np.sqrt(np.sum(fit.residual**2) / max(found.freedom, 1))), 1e-6)
+        fit = meetings.linearised(common, sd)
+        variance = max(float(np.sum(fit.residual**2)) / max(meetings.freedom, 1), 1e-12)
         left = fit.left.reshape(-1, 2)
-        covariance = np.linalg.inv(left.T @ left / noise**2 + np.diag(sd**-2))
-        step = covariance @ (left.T @ fit.residual.ravel() / noise**2 - common / sd**2)
+        covariance = np.linalg.inv(left.T @ left / variance + np.diag(sd**-2))
+        step = covariance @ (left.T @ fit.residual.ravel() / variance - common / sd**2)
         common = common + step
-    values_deg[found.places] = fit.value_deg + fit.by_common @ step
+    values_deg = np.full(count, np.nan)
+    values_deg[meetings.places] = fit.value_deg + fit.by_common @ step + meetings.beyond_deg(fit.coefficients)
     by_common = fit.by_common.mean(axis=0)
-    return TurningAngle(values_deg, float(np.sqrt(by_common @ covariance @ by_common)))
+    return TurningAngle(values_deg, float(np.sqrt(by_common @ covariance @ by_common))), variance
 
 
 @dataclass(frozen=True)
@@ -91,15 +124,21 @@ class _Fit:
 
     Attributes
     ----------
-    value_deg, by_common : (C,) angle at each turn, and (C, 2) its derivatives by lag and corner
+    coefficients : (C, parameters) of the branches
+    by_common : (C, 2) derivatives of the angle where they meet by lag and corner
     residual : (C, N) of the frames
     left : (C, N, 2) what lag and corner do to the frames and the branches cannot follow
     """
 
-    value_deg: FloatArray
+    coefficients: FloatArray
     by_common: FloatArray
     residual: FloatArray
     left: FloatArray
+
+    @property
+    def value_deg(self) -> FloatArray:
+        """(C,) the angle where the branches meet."""
+        return self.coefficients[:, 0]
 
 
 @dataclass(frozen=True)
@@ -134,11 +173,30 @@ class _Meetings:
         by_common = np.concatenate([(later - fitted) / steps[0], (higher - fitted) / steps[1]], axis=2)
         followed = solve @ by_common
         return _Fit(
-            value_deg=coefficients[:, 0, 0],
+            coefficients=coefficients[..., 0],
             by_common=-followed[:, 0],
             residual=self.angle_deg - fitted[..., 0],
             left=by_common - design @ followed,
         )
+
+    def beyond_deg(self, coefficients: FloatArray) -> FloatArray:
+        """(C,) how far the angle goes on beyond where the branches meet: it may, where the material lags.
+
+        Looked for on the median of the turns' branches, at one place for all; 0 where that is no clear step.
+        """
+        away = float(np.sign(np.sum(self.off_kpa)))  # to which side of the turn the frames' pressures lie
+        x = (away * np.linspace(0, 0.5, 51)[1:, None]) ** np.arange(1, self.order + 1)
+        branches = (coefficients[:, 1 : 1 + self.order] @ x.T, coefficients[:, 1 + self.order :] @ x.T)
+        gain = np.concatenate(branches, axis=1)  # (C, places), over the meeting
+        middle = np.median(gain, axis=0)  # a branch that is all rest bends as it likes
+        # The turn is a largest angle where the angle falls away from it, else a smallest one.
+        sign = 1.0 if middle[49] + middle[99] < 0 else -1.0
+        place = int(np.argmax(sign * middle))
+        best = gain[:, place]
+        spread = 1.4826 * float(np.median(np.abs(best - middle[place])))
+        best = np.where(np.abs(best - middle[place]) > 5 * spread, middle[place], best)
+        least = max(_CLEAR_SD * spread / len(best) ** 0.5, _CLEAR_SHARE * float(np.ptp(self.angle_deg)))
+        return best if sign * middle[place] > least else np.zeros(len(best))
 
     def _powers(self, lag_s: float, corner_kpa: float) -> FloatArray:
         """(C, N, parameters) powers of the distance in pressure, for each branch apart."""
@@ -166,15 +224,12 @@ def _meetings(
     turning: TurningPressure,
     bounds_s: FloatArray,
     frame_s: float,
+    order: int,
+    share: float,
+    fewest: int,
 ) -> _Meetings | None:
-    """The frames next to each turn; None where no turn has enough of them.
-
-    The richer polynomials are taken where at least half of the turns have the frames for them.
-    """
-    first, last = (
-        np.searchsorted(time_s, bounds_s[:, 0]),
-        np.searchsorted(time_s, bounds_s[:, 1], side="right"),
-    )
+    """The frames next to each turn; None where fewer than half of the turns have enough of them."""
+    first, last = np.searchsorted(time_s, bounds_s[:, 0]), np.searchsorted(time_s, bounds_s[:, 1])
     width = int((last - first).max(initial=0))
     if width == 0:
         return None
@@ -184,15 +239,10 @@ def _meetings(
     late = time_s[index] - turning.turn_s[:, None]
     off = pressure_kpa[index] - turning.kpa[:, None]
     reach = np.where(inside, np.abs(off), 0).max(axis=1, keepdims=True)
-    enough = chosen = np.zeros_like(inside)
-    order, share = 0, 0.0
-    for order, share, fewest in _BRANCHES:  # noqa: B007 (the last one tried is the one taken)
-        chosen = inside & (np.abs(off) <= share * reach) & np.isfinite(off)
-        before = (chosen & (late < 0)).sum(axis=1)
-        enough = np.minimum(before, chosen.sum(axis=1) - before) >= fewest
-        if 2 * enough.sum() >= len(bounds_s):
-            break
-    if not enough.any():
+    chosen = inside & (np.abs(off) <= share * reach) & np.isfinite(off)
+    before = (chosen & (late < 0)).sum(axis=1)
+    enough = np.minimum(before, chosen.sum(axis=1) - before) >= fewest
+    if not enough.any() or 2 * enough.sum() < len(bounds_s):
         return None
     weight = chosen[enough].astype(float)
     return _Meetings(

@@ -122,32 +122,33 @@ def _mean_curve(
     weight = np.sqrt(counts)
     criteria, tops, variances, curves = [], [], [], []
     for order in (1, 2, 3):
-        for rounding in _ROUNDINGS:
-            design = _design(off, order, rounding) * weight[:, None]
-            inverse = np.linalg.pinv(design.T @ design, hermitian=True)
-            coefficients = inverse @ (design.T @ (level * weight))
-            residual = level * weight - design @ coefficients
-            freedom = max(residual.size - design.shape[1], 1)
-            variance = max(float(residual @ residual), 1e-18) / freedom
-            at_zero = _design(np.zeros(1), order, rounding)[0]
-            criteria.append(residual.size * np.log(variance * freedom / residual.size) + 2 * design.shape[1])
-            tops.append(float(at_zero @ coefficients))
-            variances.append(variance * float(at_zero @ inverse @ at_zero))
-            curves.append(_design(grid, order, rounding) @ coefficients)
-    shares = np.exp(-(np.array(criteria) - min(criteria)) / 2)
+        # (R, cells, P): one design for each rounding
+        designs = _designs(off, order) * weight[:, None]
+        inverses = np.linalg.pinv(np.swapaxes(designs, 1, 2) @ designs, hermitian=True)
+        coefficients = inverses @ (np.swapaxes(designs, 1, 2) @ (level * weight))[..., None]
+        squares = np.sum((level * weight - (designs @ coefficients)[..., 0]) ** 2, axis=1)
+        squares = np.maximum(squares, 1e-18)
+        cells, parameters = designs.shape[1:]
+        at_zero = _designs(np.zeros(1), order)  # (R, 1, P)
+        criteria.append(cells * np.log(squares / cells) + 2 * parameters)
+        tops.append((at_zero @ coefficients)[:, 0, 0])
+        spread = (at_zero @ inverses @ np.swapaxes(at_zero, 1, 2))[:, 0, 0]
+        variances.append(squares / max(cells - parameters, 1) * spread)
+        curves.append((_designs(grid, order) @ coefficients)[..., 0])
+    criterion, value, own = np.concatenate(criteria), np.concatenate(tops), np.concatenate(variances)
+    shares = np.exp(-(criterion - criterion.min()) / 2)
     shares /= shares.sum()
-    top = float(shares @ tops)
-    variance = float(shares @ (np.array(variances) + (np.array(tops) - top) ** 2))
-    return shares @ np.array(curves), top, float(np.sqrt(variance))
+    top = float(shares @ value)
+    variance = float(shares @ (own + (value - top) ** 2))
+    return shares @ np.concatenate(curves), top, float(np.sqrt(variance))
 
 
-def _design(off: FloatArray, order: int, rounding: float) -> FloatArray:
-    corner = away = np.abs(off)
-    if rounding:
-        corner = np.where(away < rounding, (off**2 + rounding**2) / (2 * rounding), away)
-    columns = [np.ones_like(off), off, corner]
-    if order >= 2:
-        columns += [off**2, off * away]
-    if order >= 3:
-        columns += [off**3, away**3]
-    return np.stack(columns, axis=1)
+def _designs(off: FloatArray, order: int) -> FloatArray:
+    """(R, N, P) columns of two flanks that meet in a corner, for each rounding of it."""
+    away, rounding = np.abs(off), np.array(_ROUNDINGS)[:, None]
+    smooth = (off**2 + rounding**2) / (2 * np.maximum(rounding, 1e-12))
+    columns = [np.ones_like(off), off, off**2, off * away, off**3, away**3][: 2 * order]
+    designs = np.empty((len(_ROUNDINGS), off.size, 1 + len(columns)))
+    designs[..., 0] = np.where(away < rounding, smooth, away)
+    designs[..., 1:] = np.stack(columns, axis=1)
+    return designs

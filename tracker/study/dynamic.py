@@ -1,28 +1,22 @@
 """One dynamic trial: what every cycle measures, which cycles count, and the trial's values with their intervals.
 
-Cycles come from `cycles.py`, turns from `corner.py` and `branches.py`, the geometry of a loop from `hysteresis.py`.
+Loops and numbers of the cycles come from `measured_cycles.py`.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from ..types import FloatArray
-from .branches import TurningAngle, turning_angle
-from .corner import turning_pressure
 from .cycles import CycleTrain, find_cycles
-from .hysteresis import hysteresis_ratio, hysteresis_ratio_extremes, loop_area_deg_kpa, mid_pressure_width_deg
-from .intervals import NAN, Estimate, combined, line_through, mean_of
+from .hysteresis import hysteresis_ratio, hysteresis_ratio_extremes
+from .intervals import NAN, Estimate, combined, line_through, mean_of, student_quantile
+from .measured_cycles import MeasuredCycles, measure_cycles
 from .trial import TrialData
 
-# A gap that a straight line may bridge: 5 % of the cycle costs the area under 0.1 % (the loops are that smooth).
-_GAP_SHARE, _GAP_FRAMES = 0.05, 3.5
-_MISSING_SHARE = 0.25
-_FEWEST_FRAMES = 12
 # The first cycle is set apart where the others' spread makes it less likely than this; three numbers are looked at.
 _APART_P = 0.01 / 3
 # A drift over the cycles is taken for one where chance makes it less likely than this.
@@ -31,6 +25,7 @@ _DRIFT_P = 0.01
 _BELOW_SHARE = 0.05
 # Points of a cycle at which cycles are compared.
 _PHASES = 100
+_APART = "differs from the cycles after it"
 
 
 @dataclass(frozen=True)
@@ -67,12 +62,14 @@ class DynamicNumbers:
 
     Attributes
     ----------
-    cycles, loops : one entry a complete cycle; a loop is (N, 2) kPa and deg
+    cycles : one entry a complete cycle
+    loops : (N, 2) kPa and deg of each cycle that is used, and of a first one that is set apart
     cycles_used : their numbers
     first_cycle_apart : the first cycle differs from the others and is left out
     period_s, amplitude_kpa, phase_s : of the pressure wave
     largest_pressure_kpa, dynamic_response_deg : sides of the paper's rectangle
-    ratio_per_frame_shift : by how much the ratio grows if the log's clock runs one frame further ahead
+    ratio_per_frame_shift : what the ratio gains if every angle gets the pressure of one frame later (a delay that
+        is one frame less)
     repeatability_deg : RMS over the cycle of the spread (sd) between cycles; includes one frame's noise
     repeatability_hysteresis : spread (sd) of the cycles' areas over their mean
     largest_angle_drift_deg, residual_angle_drift_deg : slope over the cycles, deg per cycle
@@ -107,322 +104,266 @@ def measure_dynamic(trial: TrialData) -> DynamicNumbers:
     clocks' shift and of what all angles share is added. The dynamic response is the mean of the cycles' largest
     angles too, unless they drift: then it is the larger end of the line through them, and a warning says so.
     """
-    known = np.isfinite(trial.pressure_kpa)
     train = find_cycles(trial.log_time_s, trial.log_pressure_kpa)
     warnings = [*train.warnings, *train.incomplete]
     if not train.start_s.size:
         return _nothing(train, warnings)
-    if not known.any() or not np.isfinite(trial.angle_deg).any():
+    if not np.any(np.isfinite(trial.pressure_kpa) & np.isfinite(trial.angle_deg)):
         return _nothing(train, [*warnings, "no frame has both an angle and a pressure"])
-    measured = _Measured(trial, train)
-    reasons = [_refusal(measured, place) for place in range(train.start_s.size)]
-    for place, reason in enumerate(reasons):
-        if reason:
-            warnings.append(f"cycle {place + 1} is not used: {reason}")
-    sound = np.array([not reason for reason in reasons])
-    first_apart = bool(sound[0]) and _differs(measured.compared[sound])
-    used = sound.copy()
+    measured = measure_cycles(trial, train)
+    reasons = list(measured.refusals)
+    warnings += [f"cycle {place} is not used: {reason}" for place, reason in enumerate(reasons, 1) if reason]
+    used = np.array([not reason for reason in reasons])
+    first_apart = bool(used[0]) and _first_differs(measured, used)
     if first_apart:
         used[0] = False
-        reasons[0] = "differs from the cycles after it"
+        reasons[0] = _APART
         warnings.append(
             "the first cycle differs from the others: it is reported apart and left out of the means"
         )
     if not used.any():
-        return _nothing(train, [*warnings, "no cycle can be used"], measured.loops)
-    return _values(measured, used, reasons, first_apart, warnings)
+        cycles = tuple(_cycle_numbers(measured, place, reason, NAN) for place, reason in enumerate(reasons))
+        return _nothing(train, [*warnings, "no cycle can be used"], cycles)
+    if used.sum() == 1:
+        warnings.append("one cycle is used: there is no spread over cycles, hence no interval")
+    return _values(trial, measured, _Used.of(measured, used), reasons, warnings)
 
 
-class _Measured:
-    """Arrays over the complete cycles of a trial, all (C,)."""
+@dataclass(frozen=True)
+class _Used:
+    """The cycles that count: arrays over them, and which of all cycles they are."""
 
-    def __init__(self, trial: TrialData, train: CycleTrain) -> None:
-        self.trial, self.train = trial, train
-        frames = (trial.time_s, trial.angle_deg, trial.pressure_kpa, trial.pressure_rate_kpa_s)
-        log = (trial.log_time_s, trial.log_pressure_kpa)
-        self.tops = turning_pressure(*log, train.turn_s, train.period_s)
-        self.feet = turning_pressure(*log, train.end_s, train.period_s)
-        self.largest: TurningAngle = turning_angle(
-            *frames, self.tops, np.stack([train.start_s, train.end_s], axis=1)
-        )
-        after = np.append(train.turn_s[1:], train.end_s[-1] + 0.1 * train.period_s)
-        self.residual: TurningAngle = turning_angle(
-            *frames, self.feet, np.stack([train.turn_s, after], axis=1)
-        )
-        self.bounds = [
-            (start, end) for start, end in zip(train.start_s.tolist(), train.end_s.tolist(), strict=True)
-        ]
-        self.loops = tuple(_loop(trial, start, end) for start, end in self.bounds)
-        half = 0.5 * trial.frame_s
-        self.areas = np.array([loop_area_deg_kpa(loop) for loop in self.loops])
-        self.widths = np.array([self._width(place, 0.0) for place in range(len(self.bounds))])
-        # How area and width change with the shift (per s), from loops whose pressure is moved half a frame.
-        self.area_by_shift, self.width_by_shift = (
-            (np.array(later) - np.array(earlier)) / (2 * half)
-            for later, earlier in (
-                tuple(
-                    [loop_area_deg_kpa(_loop(trial, *b, move)) for b in self.bounds] for move in (half, -half)
-                ),
-                tuple([self._width(p, move) for p in range(len(self.bounds))] for move in (half, -half)),
-            )
-        )
+    chosen: np.ndarray  # (C,) of all cycles
+    number: FloatArray  # from 1 on
+    tops_kpa: FloatArray
+    feet_kpa: FloatArray
+    largest_deg: FloatArray
+    residual_deg: FloatArray
+    areas: FloatArray
+    area_by_shift: float
 
-    @property
-    def compared(self) -> FloatArray:
-        """(C, 3) what a first cycle is compared in."""
-        return np.stack([self.largest.deg, self.residual.deg, self.areas], axis=1)
-
-    def _width(self, place: int, move_s: float) -> float:
-        start, end = self.bounds[place]
-        turn = float(self.train.turn_s[place])
-        return mid_pressure_width_deg(
-            _loop(self.trial, start, turn, move_s),
-            _loop(self.trial, turn, end, move_s),
-            float(self.feet.kpa[place]),
-            float(self.tops.kpa[place]),
+    @classmethod
+    def of(cls, measured: MeasuredCycles, used: np.ndarray) -> _Used:
+        return cls(
+            chosen=used,
+            number=np.flatnonzero(used) + 1.0,
+            tops_kpa=measured.tops.kpa[used],
+            feet_kpa=measured.feet.kpa[used],
+            largest_deg=measured.largest.deg[used],
+            residual_deg=measured.residual.deg[used],
+            areas=measured.areas_deg_kpa[used],
+            area_by_shift=float(measured.area_by_shift[used].mean()),
         )
 
 
-def _loop(trial: TrialData, start_s: float, end_s: float, move_s: float = 0.0) -> FloatArray:
-    """(N, 2) pressure and angle from start to end, both ends interpolated; the pressure of `move_s` later."""
-    known = np.isfinite(trial.angle_deg) & np.isfinite(trial.pressure_kpa)
-    time_s = trial.time_s
-    inside = time_s[known & (time_s > start_s) & (time_s < end_s)]
-    at = np.concatenate([[start_s], inside, [end_s]])
-    pressed = np.isfinite(trial.pressure_kpa)
-    pressure = np.interp(at + move_s, time_s[pressed], trial.pressure_kpa[pressed])
-    return np.stack([pressure, np.interp(at, time_s[known], trial.angle_deg[known])], axis=1)
-
-
-def _refusal(measured: _Measured, place: int) -> str:
-    """Why a cycle cannot be used; empty where it can."""
-    trial, train = measured.trial, measured.train
-    start, end = measured.bounds[place]
-    time_s = trial.time_s
-    if start < time_s[0] - 2 * trial.frame_s or end > time_s[-1] + 2 * trial.frame_s:
-        return f"the video covers {time_s[0]:.2f} to {time_s[-1]:.2f} s, the cycle {start:.2f} to {end:.2f} s"
-    if np.any((trial.saturated_s >= start) & (trial.saturated_s <= end)):
-        return "the pressure sensor was saturated in it"
-    frames, missing, gap_s, gap_at_s = _gaps(trial, start, end)
-    if frames - missing < _FEWEST_FRAMES:
-        return f"{frames - missing} frames with an angle and a pressure, fewer than {_FEWEST_FRAMES}"
-    period = end - start
-    if gap_s > max(_GAP_SHARE * period, _GAP_FRAMES * trial.frame_s):
-        share = 100 * gap_s / period
-        return (
-            f"no angle or no pressure for {gap_s:.2f} s from {gap_at_s:.2f} s on ({share:.0f} % of the cycle)"
-        )
-    if missing > _MISSING_SHARE * frames:
-        return f"{missing} of its {frames} frames have no angle or no pressure"
-    if train.irregular[place]:
-        return train.irregular[place]
-    if not math.isfinite(measured.largest.deg[place]):
-        return "too few frames near the largest pressure to tell the largest angle"
-    return ""
-
-
-def _gaps(trial: TrialData, start_s: float, end_s: float) -> tuple[int, int, float, float]:
-    """Frames in a cycle, those without an angle or a pressure, and the longest time without one and its start."""
-    inside = (trial.time_s >= start_s) & (trial.time_s <= end_s)
-    known = inside & np.isfinite(trial.angle_deg) & np.isfinite(trial.pressure_kpa)
-    at = np.concatenate([[start_s], trial.time_s[known], [end_s]])
-    steps = np.diff(at)
-    longest = int(np.argmax(steps))
-    count = int(inside.sum())
-    return count, count - int(known.sum()), float(steps[longest]), float(at[longest])
-
-
-def _differs(compared: FloatArray) -> bool:
-    """Whether the first row lies outside the prediction interval of the others in any column."""
+def _first_differs(measured: MeasuredCycles, sound: np.ndarray) -> bool:
+    """Whether the first cycle lies outside the prediction interval of the others in any of three numbers."""
+    compared = np.stack([measured.largest.deg, measured.residual.deg, measured.areas_deg_kpa], axis=1)[sound]
     others = compared[1:]
     if others.shape[0] < 3:
         return False
     spread = others.std(axis=0, ddof=1) * math.sqrt(1 + 1 / others.shape[0])
     off = np.abs(compared[0] - others.mean(axis=0))
-    limit = stats.t.ppf(1 - _APART_P / 2, others.shape[0] - 1) * spread
+    limit = student_quantile(1 - _APART_P / 2, others.shape[0] - 1) * spread
     return bool(np.any(off > limit))
 
 
 def _values(
-    measured: _Measured, used: np.ndarray, reasons: list[str], first_apart: bool, warnings: list[str]
+    trial: TrialData, measured: MeasuredCycles, used: _Used, reasons: list[str], warnings: list[str]
 ) -> DynamicNumbers:
-    trial, train = measured.trial, measured.train
     shift = Estimate(0.0, trial.shift_sd_s)
-    angles_share = Estimate(0.0, trial.angle_common_sd_deg)
-    number = np.flatnonzero(used) + 1.0
-    tops, feet = measured.tops.kpa[used], measured.feet.kpa[used]
-    largest, residual = measured.largest.deg[used], measured.residual.deg[used]
-    areas, widths = measured.areas[used], measured.widths[used]
-    if used.sum() == 1:
-        warnings.append("one cycle is used: there is no spread over cycles, hence no interval")
-
-    pressure = mean_of(tops)
-    pressure = combined(pressure.value, [(1, pressure), (1, _known(measured.tops.common_sd_kpa))])
-    drift, peak, angles_at = _response(number, largest)
-    if drift.p_value() < _DRIFT_P:
-        warnings.append(
-            f"the largest angle drifts by {drift.value:+.2f} deg per cycle: the dynamic response is that of the "
-            f"{'last' if drift.value > 0 else 'first'} cycle used, from the line through all"
-        )
-    angle_parts = [(1.0, peak), (1.0, _known(measured.largest.common_sd_deg)), (1.0, angles_share)]
-    response = combined(peak.value, angle_parts)
-
-    area = mean_of(areas)
-    area_by_shift = float(np.mean(measured.area_by_shift[used]))
-    hysteresis = combined(area.value, [(1, area), (area_by_shift, shift)])
-    ratio = NAN
-    lowest_kpa, below = float(feet.mean()), _BELOW_SHARE
-    if lowest_kpa < -below * abs(pressure.value) or not pressure.value > 0:
-        warnings.append(
-            f"negative pressure ({lowest_kpa:.1f} to {pressure.value:.1f} kPa): the paper's rectangle to the axes "
-            f"does not hold the loop, its hysteresis ratio is not given"
-        )
-    elif not response.value > 0:
-        warnings.append(
-            f"the largest angle is {response.value:.1f} deg, not above 0: no hysteresis ratio to the axes"
-        )
-    else:
-        ratio = hysteresis_ratio(area.value, pressure.value, response.value)
-    ratio_estimate = Estimate(NAN)
-    frame_moves = NAN
-    if math.isfinite(ratio):
-        # Cycle by cycle to first order, so that what area and angle of a cycle have in common is seen.
-        linear = ratio * (1 + areas / area.value - tops / pressure.value - angles_at / response.value)
-        per_cycle = mean_of(linear)
-        frame_moves = ratio * area_by_shift / area.value
-        common_deg = math.hypot(measured.largest.common_sd_deg, trial.angle_common_sd_deg)
-        ratio_estimate = combined(
-            ratio,
-            [
-                (1, per_cycle),
-                (frame_moves, shift),
-                (ratio / response.value, _known(common_deg)),
-                (ratio / pressure.value, _known(measured.tops.common_sd_kpa)),
-            ],
-        )
-        if area.value < 0:
-            warnings.append(
-                "the loop runs the other way round (the angle leads the pressure): look at the clocks' shift"
-            )
-    extremes = _extremes(measured, used)
-    known_residual = residual[np.isfinite(residual)]
-    width = mean_of(widths[np.isfinite(widths)])
-    left = mean_of(known_residual)
-    residual_drift = (
-        line_through(number[np.isfinite(residual)], known_residual, 0.0)[0]
-        if known_residual.size > 2
-        else Estimate(NAN)
-    )
-    cycles = tuple(
-        _cycle_numbers(measured, place, bool(used[place]), reasons[place], pressure.value, response.value)
-        for place in range(used.size)
-    )
+    shared_deg = Estimate(0.0, trial.angle_common_sd_deg)
+    tops = mean_of(used.tops_kpa)
+    pressure = combined(tops.value, [(1, tops), (1, _known(measured.tops.common_sd_kpa))])
+    drift, peak, largest_deg = _peak(used)
+    common_deg = _known(math.hypot(_known(measured.largest.common_sd_deg).sd, trial.angle_common_sd_deg))
+    response = combined(peak.value, [(1, peak), (1, common_deg)])
+    area = mean_of(used.areas)
+    ratio = _ratio(measured, used, pressure, response, largest_deg, common_deg, shift, warnings)
+    rectangle = area.value / ratio.value if ratio.value else NAN
+    warnings += _angle_warnings(measured, drift, area)
+    whole = np.isfinite(used.residual_deg)
+    residual = mean_of(used.residual_deg[whole])
+    residual_drift = Estimate(NAN)
+    if whole.sum() > 2:
+        residual_drift = line_through(used.number[whole], used.residual_deg[whole], 0.0)[0]
+    apart = reasons[0] == _APART
     return DynamicNumbers(
-        cycles=cycles,
-        loops=measured.loops,
-        cycles_used=tuple(int(n) for n in number),
-        first_cycle_apart=first_apart,
-        period_s=train.period_s,
-        amplitude_kpa=float(np.mean(tops) - np.mean(feet)),
-        phase_s=train.phase_s,
+        cycles=tuple(_cycle_numbers(measured, p, reason, rectangle) for p, reason in enumerate(reasons)),
+        loops=tuple(loop for p, loop in enumerate(measured.loops) if used.chosen[p] or (apart and p == 0)),
+        cycles_used=tuple(int(number) for number in used.number),
+        first_cycle_apart=apart,
+        period_s=measured.train.period_s,
+        amplitude_kpa=float(np.mean(used.tops_kpa - used.feet_kpa)),
+        phase_s=measured.train.phase_s,
         largest_pressure_kpa=pressure,
         dynamic_response_deg=response,
-        hysteresis_deg_kpa=hysteresis,
-        hysteresis_ratio=ratio_estimate,
-        hysteresis_ratio_extremes=combined(
-            extremes.value,
-            [(1, extremes), (extremes.value * area_by_shift / area.value if area.value else 0.0, shift)],
-        ),
-        mid_width_deg=combined(
-            width.value, [(1, width), (float(np.nanmean(measured.width_by_shift[used])), shift)]
-        ),
+        hysteresis_deg_kpa=combined(area.value, [(1, area), (used.area_by_shift, shift)]),
+        hysteresis_ratio=ratio,
+        hysteresis_ratio_extremes=_extremes(used, whole, shift),
+        mid_width_deg=_width(measured, used, shift),
         residual_angle_deg=combined(
-            left.value, [(1, left), (1, _known(measured.residual.common_sd_deg)), (1, angles_share)]
+            residual.value, [(1, residual), (1, _known(measured.residual.common_sd_deg)), (1, shared_deg)]
         ),
         largest_angle_drift_deg=drift,
         residual_angle_drift_deg=residual_drift,
-        ratio_per_frame_shift=frame_moves * trial.frame_s,
-        repeatability_deg=_repeatability_deg(measured, used),
-        repeatability_hysteresis=float(areas.std(ddof=1) / area.value) if areas.size > 1 else NAN,
+        ratio_per_frame_shift=used.area_by_shift * trial.frame_s / rectangle,
+        repeatability_deg=_repeatability_deg(trial, measured, used),
+        repeatability_hysteresis=_share_spread(used.areas),
         warnings=tuple(warnings),
     )
 
 
-def _response(number: FloatArray, largest: FloatArray) -> tuple[Estimate, Estimate, FloatArray]:
-    """Drift of the largest angle, the dynamic response, and the cycles' angles freed of a drift."""
-    if largest.size < 4:
-        return Estimate(NAN), mean_of(largest), largest
-    drift, _ = line_through(number, largest, 0.0)
+def _peak(used: _Used) -> tuple[Estimate, Estimate, FloatArray]:
+    """Drift of the largest angle, the dynamic response, and the cycles' largest angles freed of a drift."""
+    if used.number.size < 4:
+        return Estimate(NAN), mean_of(used.largest_deg), used.largest_deg
+    drift, _ = line_through(used.number, used.largest_deg, 0.0)
     if not drift.p_value() < _DRIFT_P:
-        return drift, mean_of(largest), largest
-    at = float(number[-1] if drift.value > 0 else number[0])
-    peak = line_through(number, largest, at)[1]
-    return drift, peak, largest + drift.value * (at - number)
+        return drift, mean_of(used.largest_deg), used.largest_deg
+    at = float(used.number[-1] if drift.value > 0 else used.number[0])
+    peak = line_through(used.number, used.largest_deg, at)[1]
+    return drift, peak, used.largest_deg + drift.value * (at - used.number)
 
 
-def _extremes(measured: _Measured, used: np.ndarray) -> Estimate:
-    """Ratio to the loop's own extremes, the mean over cycles, each in the trial's mean rectangle."""
-    areas, tops, feet = measured.areas[used], measured.tops.kpa[used], measured.feet.kpa[used]
-    largest, residual = measured.largest.deg[used], measured.residual.deg[used]
-    whole = np.isfinite(residual)
+def _ratio(
+    measured: MeasuredCycles,
+    used: _Used,
+    pressure: Estimate,
+    response: Estimate,
+    largest_deg: FloatArray,
+    common_deg: Estimate,
+    shift: Estimate,
+    warnings: list[str],
+) -> Estimate:
+    """The paper's hysteresis ratio; NaN, and a warning, where its rectangle does not hold the loop."""
+    lowest_kpa = float(used.feet_kpa.mean())
+    if not pressure.value > 0 or lowest_kpa < -_BELOW_SHARE * pressure.value:
+        warnings.append(
+            f"negative pressure ({lowest_kpa:.1f} to {pressure.value:.1f} kPa): the paper's rectangle to the axes "
+            f"does not hold the loop, its hysteresis ratio is not given"
+        )
+        return Estimate(NAN)
+    if not response.value > 0:
+        warnings.append(
+            f"the largest angle is {response.value:.1f} deg, not above 0: no hysteresis ratio to the axes"
+        )
+        return Estimate(NAN)
+    ratio = hysteresis_ratio(float(used.areas.mean()), pressure.value, response.value)
+    rectangle = pressure.value * response.value
+    # Cycle by cycle to first order, so that what area and angle of a cycle have in common is seen.
+    per_cycle = mean_of(
+        used.areas / rectangle - ratio * (used.tops_kpa / pressure.value + largest_deg / response.value)
+    )
+    return combined(
+        ratio,
+        [
+            (1, per_cycle),
+            (used.area_by_shift / rectangle, shift),
+            (ratio / response.value, common_deg),
+            (ratio / pressure.value, _known(measured.tops.common_sd_kpa)),
+        ],
+    )
+
+
+def _angle_warnings(measured: MeasuredCycles, drift: Estimate, area: Estimate) -> list[str]:
+    found = []
+    if drift.p_value() < _DRIFT_P:
+        found.append(
+            f"the largest angle drifts by {drift.value:+.2f} deg per cycle: the dynamic response is that of the "
+            f"{'last' if drift.value > 0 else 'first'} cycle used, from the line through all"
+        )
+    if measured.largest.misfit_deg > 0:
+        found.append(
+            f"the angle near its largest is not smooth: the branches lie {measured.largest.misfit_deg:.2f} deg off "
+            f"the frames beyond their noise, which widens the interval"
+        )
+    if area.value < 0:
+        found.append(
+            "the loop runs the other way round (the angle leads the pressure): look at the clocks' shift"
+        )
+    return found
+
+
+def _extremes(used: _Used, whole: np.ndarray, shift: Estimate) -> Estimate:
+    """Ratio to the loop's own extremes: mean area over the rectangle of the cycles' mean extremes."""
     if not whole.any():
         return Estimate(NAN)
-    pressures = (float(feet[whole].mean()), float(tops[whole].mean()))
-    angles = (float(residual[whole].mean()), float(largest[whole].mean()))
-    ratio = hysteresis_ratio_extremes(float(areas[whole].mean()), pressures, angles)
-    linear = ratio * (
-        1
-        + areas[whole] / areas[whole].mean()
-        - (tops - feet)[whole] / (pressures[1] - pressures[0])
-        - (largest - residual)[whole] / (angles[1] - angles[0])
+    areas, tops, feet = used.areas[whole], used.tops_kpa[whole], used.feet_kpa[whole]
+    largest, residual = used.largest_deg[whole], used.residual_deg[whole]
+    pressures = (float(feet.mean()), float(tops.mean()))
+    angles = (float(residual.mean()), float(largest.mean()))
+    ratio = hysteresis_ratio_extremes(float(areas.mean()), pressures, angles)
+    if not math.isfinite(ratio):
+        return Estimate(NAN)
+    range_kpa, range_deg = pressures[1] - pressures[0], angles[1] - angles[0]
+    per_cycle = mean_of(
+        areas / (range_kpa * range_deg)
+        - ratio * ((tops - feet) / range_kpa + (largest - residual) / range_deg)
     )
-    spread = mean_of(linear)
-    return Estimate(ratio, spread.sd, spread.dof)
+    return combined(ratio, [(1, per_cycle), (used.area_by_shift / (range_kpa * range_deg), shift)])
 
 
-def _cycle_numbers(
-    measured: _Measured, place: int, used: bool, reason: str, pressure_kpa: float, response_deg: float
-) -> CycleNumbers:
-    start, end = measured.bounds[place]
-    frames, missing, gap_s, _ = _gaps(measured.trial, start, end)
+def _width(measured: MeasuredCycles, used: _Used, shift: Estimate) -> Estimate:
+    wide = used.chosen & np.isfinite(measured.widths_deg + measured.width_by_shift)
+    if not wide.any():
+        return Estimate(NAN)
+    width = mean_of(measured.widths_deg[wide])
+    return combined(width.value, [(1, width), (float(measured.width_by_shift[wide].mean()), shift)])
+
+
+def _cycle_numbers(measured: MeasuredCycles, place: int, reason: str, rectangle: float) -> CycleNumbers:
     # A cycle that is refused keeps no number that its fault could have touched.
-    believable = used or reason.startswith("differs")
-    top, foot = float(measured.tops.kpa[place]), float(measured.feet.kpa[place])
+    believable = reason in ("", _APART)
     largest, residual, area, width = (
         float(values[place]) if believable else NAN
-        for values in (measured.largest.deg, measured.residual.deg, measured.areas, measured.widths)
+        for values in (
+            measured.largest.deg,
+            measured.residual.deg,
+            measured.areas_deg_kpa,
+            measured.widths_deg,
+        )
     )
+    top, foot = float(measured.tops.kpa[place]), float(measured.feet.kpa[place])
+    start, end = float(measured.train.start_s[place]), float(measured.train.end_s[place])
+    cover = measured.coverage[place]
     return CycleNumbers(
         number=place + 1,
-        used=used,
+        used=not reason,
         reason=reason,
         start_s=start,
         turn_s=float(measured.train.turn_s[place]),
         end_s=end,
         period_s=end - start,
-        frames=frames,
-        missing_frames=missing,
-        longest_gap_s=gap_s,
+        frames=cover.frames,
+        missing_frames=cover.missing,
+        longest_gap_s=cover.longest_gap_s,
         pressure_min_kpa=foot,
         pressure_max_kpa=top,
         largest_angle_deg=largest,
         residual_angle_deg=residual,
         hysteresis_deg_kpa=area,
-        hysteresis_ratio=hysteresis_ratio(area, pressure_kpa, response_deg),
+        hysteresis_ratio=area / rectangle,
         hysteresis_ratio_extremes=hysteresis_ratio_extremes(area, (foot, top), (residual, largest)),
         mid_width_deg=width,
     )
 
 
-def _repeatability_deg(measured: _Measured, used: np.ndarray) -> float:
+def _repeatability_deg(trial: TrialData, measured: MeasuredCycles, used: _Used) -> float:
     """RMS over the cycle's phase of the spread (sd) of the angle between the cycles used."""
-    if used.sum() < 2:
+    if used.number.size < 2:
         return NAN
-    trial = measured.trial
     known = np.isfinite(trial.angle_deg)
-    at = [np.linspace(*measured.bounds[place], _PHASES, endpoint=False) for place in np.flatnonzero(used)]
-    angles = np.interp(np.array(at), trial.time_s[known], trial.angle_deg[known])
+    starts, ends = measured.train.start_s[used.chosen], measured.train.end_s[used.chosen]
+    at = np.linspace(starts, ends, _PHASES, endpoint=False, axis=1)
+    angles = np.interp(at, trial.time_s[known], trial.angle_deg[known])
     return float(np.sqrt(np.mean(np.var(angles, axis=0, ddof=1))))
+
+
+def _share_spread(values: FloatArray) -> float:
+    """Standard deviation over the mean; NaN of one value or around 0."""
+    mean = float(values.mean())
+    return float(values.std(ddof=1)) / abs(mean) if values.size > 1 and mean else NAN
 
 
 def _known(sd: float) -> Estimate:
@@ -430,19 +371,32 @@ def _known(sd: float) -> Estimate:
     return Estimate(0.0, sd if math.isfinite(sd) else 0.0)
 
 
-def _nothing(train: CycleTrain, warnings: list[str], loops: tuple[FloatArray, ...] = ()) -> DynamicNumbers:
-    missing = {field.name: Estimate(NAN) for field in fields(DynamicNumbers) if field.type == "Estimate"}
+def _nothing(
+    train: CycleTrain,
+    warnings: list[str],
+    cycles: tuple[CycleNumbers, ...] = (),
+) -> DynamicNumbers:
+    """A trial without values: what is known of its wave, and why there is no more."""
+    unknown = Estimate(NAN)
     return DynamicNumbers(
-        cycles=(),
-        loops=loops,
+        cycles=cycles,
+        loops=(),
         cycles_used=(),
         first_cycle_apart=False,
         period_s=train.period_s,
         amplitude_kpa=train.amplitude_kpa,
         phase_s=train.phase_s,
+        largest_pressure_kpa=unknown,
+        dynamic_response_deg=unknown,
+        hysteresis_deg_kpa=unknown,
+        hysteresis_ratio=unknown,
+        hysteresis_ratio_extremes=unknown,
+        mid_width_deg=unknown,
+        residual_angle_deg=unknown,
+        largest_angle_drift_deg=unknown,
+        residual_angle_drift_deg=unknown,
         ratio_per_frame_shift=NAN,
         repeatability_deg=NAN,
         repeatability_hysteresis=NAN,
         warnings=tuple(warnings),
-        **missing,
     )

@@ -56,7 +56,7 @@ def mid_pressure_width_deg(up: FloatArray, down: FloatArray, low_kpa: float, hig
     Returns
     -------
     float
-        NaN where a branch has fewer than four points near the middle.
+        NaN where a branch has fewer than four pressures near the middle.
     """
     middle, reach = (low_kpa + high_kpa) / 2, _MID_SHARE * (high_kpa - low_kpa)
     at = [_parabola_at(branch, middle, reach) for branch in (up, down)]
@@ -66,8 +66,8 @@ def mid_pressure_width_deg(up: FloatArray, down: FloatArray, low_kpa: float, hig
 def _parabola_at(branch: FloatArray, pressure_kpa: float, reach_kpa: float) -> float:
     off = (branch[:, 0] - pressure_kpa) / reach_kpa
     near = np.abs(off) <= 1
-    if near.sum() < 4 or not (off[near].min() < 0 < off[near].max()):
+    if np.unique(off[near]).size < 4 or not (off[near].min() < 0 < off[near].max()):
         return float("nan")
     x = off[near]
-    design = np.stack([np.ones_like(x), x, x * x], axis=1)
-    return float(np.linalg.lstsq(design, branch[near, 1], rcond=None)[0][0])
+    powers = np.stack([np.ones_like(x), x, x * x])
+    return float(np.linalg.solve(powers @ powers.T, powers @ branch[near, 1])[0])

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import stats
+from scipy import special
 
 from ..types import FloatArray
 
@@ -29,14 +29,20 @@ class Estimate:
 
     def interval(self, confidence: float) -> tuple[float, float]:
         """Two-sided Student interval; NaN where the uncertainty is not known."""
-        half = float(stats.t.ppf(0.5 + confidence / 2, self.dof)) * self.sd
+        half = student_quantile(0.5 + confidence / 2, self.dof) * self.sd
         return self.value - half, self.value + half
 
     def p_value(self) -> float:
         """Two-sided probability of a value so far from 0, were the truth 0."""
         if not self.sd > 0:
             return NAN
-        return float(2 * stats.t.sf(abs(self.value / self.sd), self.dof))
+        off = -abs(self.value / self.sd)
+        return 2 * float(special.ndtr(off) if math.isinf(self.dof) else special.stdtr(self.dof, off))
+
+
+def student_quantile(share: float, dof: float) -> float:
+    """Below which value a `share` of Student's distribution lies; the normal one's for infinite `dof`."""
+    return float(special.ndtri(share) if math.isinf(dof) else special.stdtrit(dof, share))
 
 
 def mean_of(values: ArrayLike) -> Estimate:
