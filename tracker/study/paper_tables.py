@@ -116,8 +116,8 @@ def _constant_angle(results: StudyResults, labels: Mapping[str, str]) -> PaperTa
             TableColumn("Frequency"),
             TableColumn("Angle"),
             TableColumn("Design", numeric=False),
-            TableColumn(baseline),
-            TableColumn("Design's ratio"),
+            TableColumn("Ratio"),
+            TableColumn(f"Ratio, {baseline}"),
             TableColumn("Improvement"),
         ),
         rows=tuple(
@@ -125,8 +125,8 @@ def _constant_angle(results: StudyResults, labels: Mapping[str, str]) -> PaperTa
                 amount(row["frequency_hz"], "Hz"),
                 f"{row['angle_deg']:g}°",
                 labels[row["design"]],
-                interval_of(row, "baseline_ratio", 3),
                 interval_of(row, "design_ratio", 3),
+                interval_of(row, "baseline_ratio", 3),
                 percent_of(row, "improvement"),
             )
             for row in widest.sort_values(["frequency_hz", "improvement"], ascending=[True, False]).to_dict(
@@ -155,8 +155,8 @@ def _responses(results: StudyResults, labels: Mapping[str, str]) -> PaperTable:
             TableColumn("Frequency"),
             TableColumn("Pressure"),
             TableColumn("Design", numeric=False),
-            TableColumn(f"{baseline} (°)"),
-            TableColumn("Design's (°)"),
+            TableColumn("Response (°)"),
+            TableColumn(f"Response, {baseline} (°)"),
             TableColumn("Improvement"),
         ),
         rows=tuple(
@@ -164,8 +164,8 @@ def _responses(results: StudyResults, labels: Mapping[str, str]) -> PaperTable:
                 amount(row["frequency_hz"], "Hz"),
                 amount(row["pressure_pp_kpa"], "kPa"),
                 labels[row["design"]],
-                interval_of(row, "baseline_value", 2),
                 interval_of(row, "design_value", 2),
+                interval_of(row, "baseline_value", 2),
                 percent_of(row, "improvement"),
             )
             for row in order.to_dict("records")

@@ -87,7 +87,7 @@ def figure_html(png: bytes, *, name: str, alt: str, caption: str, css_class: str
     data = base64.b64encode(png).decode("ascii")
     lead = f"<b>{escape(name)}</b> " if name else ""
     return (
-        f'<figure{_class(css_class)}><img loading="lazy" decoding="async" alt="{escape(alt)}" '
+        f'<figure{_class(css_class)}><img decoding="async" alt="{escape(alt)}" '
         f'src="data:image/png;base64,{data}"><figcaption>{lead}{escape(caption)}</figcaption></figure>'
     )
 

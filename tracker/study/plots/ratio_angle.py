@@ -10,6 +10,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ..number_text import MINUS
 from .looks import Look
 from .page import INK, PAGE_MM, QUIET, house_style, new_figure, quiet_grid
 
@@ -88,20 +89,6 @@ def _draw_comparison(axes: Axes, best: Mapping[str, Any], looks: Mapping[str, Lo
         axes.annotate(
             f"{ratio:.3f}", (0, ratio), xytext=(3, 1.5), textcoords="offset points", va="bottom", zorder=6
         )
-    better, other = looks[best["design"]].label, looks[best["baseline"]].label
-    label = f"at {angle:g}°: {-100 * best['improvement']:+.1f} %\n{better}\nagainst {other}".replace(
-        "-", "\u2212", 1
-    )
-    left = angle > 0.5 * axes.get_xlim()[1]
-    axes.annotate(
-        label,
-        (angle, 1.0),
-        xycoords=("data", "axes fraction"),
-        xytext=(-4 if left else 4, -1),
-        textcoords="offset points",
-        ha="right" if left else "left",
-        va="top",
-        linespacing=1.35,
-        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.0},
-        zorder=6,
-    )
+    share = f"{-100 * best['improvement']:+.1f}\u00a0%".replace("-", MINUS)
+    words = f"at {angle:g}°: {looks[best['design']].label} {share} against {looks[best['baseline']].label}"
+    axes.set_title(f"{axes.get_title('center')}\n{words}", loc="center")
