@@ -107,7 +107,7 @@ def _trust(results: StudyResults) -> list[str]:
         subset=["size"]
     )
     if len(moved):
-        worst = moved.loc[moved["size"].idxmax()]
+        worst = moved.sort_values("size").iloc[-1]
         found.append(
             f"A clock that is off by one frame would change a hysteresis ratio by "
             f"{plain_number(moved['size'].median(), 3)} (median), at most {plain_number(worst['size'], 3)} "

@@ -18,7 +18,7 @@ from .number_text import MISSING, plain_number, with_interval
 if TYPE_CHECKING:
     from .analysis import StudyResults
 
-Row = Mapping[str, Any]
+Row = Mapping[Any, Any]
 
 
 @dataclass(frozen=True)
@@ -288,7 +288,8 @@ def _control(results: StudyResults) -> PaperTable:
     rows = []
     if len(table):
         waves = table.assign(frequency_hz=table["frequency_hz"].where(table["kind"] == "dynamic", 0.0))
-        for (frequency, pressure), here in waves.groupby(["frequency_hz", "pressure_pp_kpa"], dropna=False):
+        for _, here in waves.groupby(["frequency_hz", "pressure_pp_kpa"], dropna=False):
+            frequency, pressure = here[["frequency_hz", "pressure_pp_kpa"]].to_numpy(float)[0]
             wave = "Staircase" if frequency == 0 else f"{frequency:g} Hz wave"
             pooled = {name: float(np.sqrt(np.mean(here[name] ** 2))) for name in ("rmse_kpa", "nrmse")}
             rows.append(

@@ -255,7 +255,7 @@ def leaf_of(name: str, results: StudyResults) -> Leaf:
     rows = results.dynamic.loc[results.dynamic["trial"] == name]
     if not len(loops) or rows.empty:
         return Leaf()
-    row = rows.iloc[0]
+    row = rows.to_dict("records")[0]
     first_used = 1 if row["first_cycle_apart"] else 0
     return Leaf(
         loops=tuple(loops[first_used:]),

@@ -10,6 +10,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ...types import FloatArray
 from ..number_text import MINUS
 from .looks import Look
 from .page import INK, PAGE_MM, QUIET, house_style, new_figure, quiet_grid
@@ -52,11 +53,17 @@ def _draw_design(axes: Axes, trials: pd.DataFrame, look: Look) -> None:
         return
     x, y = (trials[column].to_numpy(float) for column in ("dynamic_response_deg", "hysteresis_ratio"))
     axes.plot(x, y, color=look.colour, linestyle=look.line, linewidth=1.0, zorder=3, label=look.label)
-    whiskers = {
-        f"{axis}err": np.abs([values - trials[f"{column}_low"], trials[f"{column}_high"] - values])
-        for axis, column, values in (("x", "dynamic_response_deg", x), ("y", "hysteresis_ratio", y))
-    }
-    axes.errorbar(x, y, **whiskers, linestyle="none", color=look.edge, linewidth=0.6, capsize=1.2, zorder=3.5)
+    axes.errorbar(
+        x,
+        y,
+        xerr=_arms(trials, "dynamic_response_deg"),
+        yerr=_arms(trials, "hysteresis_ratio"),
+        linestyle="none",
+        color=look.edge,
+        linewidth=0.6,
+        capsize=1.2,
+        zorder=3.5,
+    )
     axes.plot(
         x,
         y,
@@ -68,6 +75,13 @@ def _draw_design(axes: Axes, trials: pd.DataFrame, look: Look) -> None:
         markeredgewidth=0.6,
         zorder=4,
     )
+
+
+def _arms(trials: pd.DataFrame, column: str) -> FloatArray:
+    """Lengths (2, N) of the whiskers below and above each value."""
+    value = trials[column].to_numpy(float)
+    ends = trials[[f"{column}_low", f"{column}_high"]].to_numpy(float).T
+    return np.abs(ends - value)
 
 
 def _draw_comparison(axes: Axes, best: Mapping[str, Any], looks: Mapping[str, Look]) -> None:
