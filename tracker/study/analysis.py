@@ -175,19 +175,20 @@ class _Gathered:
         self.cycles += [self._row(trial, cycle) for cycle in numbers.cycles]
         clock = (trial.shift.method, trial.shift.delay_s, trial.shift_sd_s, trial.frame_s)
         self.dynamic.append({**self._row(trial, numbers), **dict(zip(_CLOCK_COLUMNS, clock, strict=True))})
-        self.points.append(
-            TrialPoint(
-                trial=trial.name,
-                design=trial.design,
-                # As measured where the study file does not say; rounded, so that like trials stay together.
-                frequency_hz=_rounded(1 / numbers.period_s)
-                if trial.frequency_hz is None
-                else trial.frequency_hz,
-                pressure_pp_kpa=NAN if trial.pressure_pp_kpa is None else trial.pressure_pp_kpa,
-                dynamic_response_deg=numbers.dynamic_response_deg,
-                hysteresis_ratio=numbers.hysteresis_ratio,
+        # As measured where the study file does not say; rounded, so that like trials stay together.
+        measured_hz = _rounded(1 / numbers.period_s)
+        frequency_hz = measured_hz if trial.frequency_hz is None else trial.frequency_hz
+        if math.isfinite(frequency_hz):
+            self.points.append(
+                TrialPoint(
+                    trial=trial.name,
+                    design=trial.design,
+                    frequency_hz=frequency_hz,
+                    pressure_pp_kpa=NAN if trial.pressure_pp_kpa is None else trial.pressure_pp_kpa,
+                    dynamic_response_deg=numbers.dynamic_response_deg,
+                    hysteresis_ratio=numbers.hysteresis_ratio,
+                )
             )
-        )
 
     def _add_static(self, trial: TrialData) -> None:
         numbers = measure_static(trial)
@@ -258,7 +259,7 @@ def _off_nominal(trial: TrialData, numbers: DynamicNumbers) -> list[str]:
     )
     for name, nominal, measured, unit in checks:
         if nominal and abs(measured - nominal) > _NOMINAL_SHARE * nominal:
-            found.append(f"the {name} is {measured:.4g} {unit}, the study file says {nominal:g} {unit}")
+            found.append(f"the {name} is {measured:.3g} {unit}, the study file says {nominal:g} {unit}")
     return found
 
 

@@ -54,8 +54,8 @@ class CycleTrain:
 
     @property
     def period_s(self) -> float:
-        """Usual length of a cycle, s; NaN without one."""
-        return _median(self.end_s - self.start_s)
+        """Usual time from top to top, s, of a single cycle its length; NaN without one."""
+        return _median(np.diff(self.turn_s) if self.turn_s.size > 1 else self.end_s - self.start_s)
 
     @property
     def amplitude_kpa(self) -> float:
