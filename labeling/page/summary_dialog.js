@@ -86,7 +86,7 @@ function advice(rows) {
   const sigma = rows.some((row) => row.sigma_measured) ? "your measured spread" : "an assumed hand of 1 px";
   const words = [
     element("p", { class: "fine" }, `No network can know the angle better than the floor: 2 σ / (√n L), with ${sigma}. `,
-      "It falls with the length L of the end vectors and with more frames."),
+      "It falls with the length L of the end vectors, so place the two points of an end far apart, and with more frames."),
   ];
   if (short.length) {
     words.push(
