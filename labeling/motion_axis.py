@@ -27,6 +27,8 @@ _ROUNDING = 0.3
 _MOVES = 4.0
 # From the 5th to the 95th percentile a Gaussian spreads over so many standard deviations.
 _WIDTH = 3.3
+# Fewer pixels than this part of them are specks of noise and compression.
+_SPECKS = 1 / 250
 # Looks closer than this many times the noise crowd: they are one pose many times.
 _CROWD = 2.5
 
@@ -74,7 +76,7 @@ def find_movement(looks: FloatArray, counts: FloatArray) -> Movement:
         for part in (0.05, 0.95)
     )
     moving = (high - low)[0] > _MOVES * _WIDTH * noise
-    moves = bool(moving.any())
+    moves = bool(moving.mean() > _SPECKS)
     return Movement(np.sqrt(2) * noise, weight, moving if moves else np.ones_like(moving), moves)
 
 
@@ -108,14 +110,14 @@ def _split(distances: FloatArray, shares: FloatArray, members: np.ndarray, view:
 
 
 def motion_coordinate(distances: FloatArray, weight: FloatArray) -> FloatArray:
-    """Where each look lies along the main motion, (n,) in grey levels; which end is which is left open.
+    """Where each look lies along the main motion, (n,) in the distances' unit; which end is which is left open.
 
     The length of the way from look to look in small steps (Isomap: Tenenbaum, de Silva and Langford 2000), of which
     the first principal coordinate is taken: an actuator bends in one way, so it grows with the angle.
 
     Parameters
     ----------
-    distances : (n, n) between looks, see `rms_distances`
+    distances : (n, n) between looks
     weight : (n,) of each look, adding up to 1
     """
     n = len(distances)

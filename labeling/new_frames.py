@@ -6,41 +6,23 @@ How frames are chosen is in `selection.py`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, field
-from enum import StrEnum
+from contextlib import AbstractContextManager, closing, contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-
-import cv2
-import numpy as np
 
 from ..tracker.errors import BendtrackError, LabelError, PressureLogError, VideoError
 from ..tracker.project import Project
 from ..tracker.study.pressure_log import read_pressure_log
-from ..tracker.video import Video, file_sha256, video_stem
-from .glimpses import Glimpse, look_of
+from ..tracker.video import Video, video_stem
+from .glimpses import Glimpse
+from .picture_folders import numbered_pictures, own_stem, possible_stems
 from .pose_cells import BinCells, LookCells
 from .pressure_order import PressureOrder
 from .selection import PlaceOf, choose
-from .store import LabelStore, frame_index, image_name
-from .survey import Progress, Survey, survey
-
-# What all videos of an actuator may keep together, and each at least. A cell takes up to 60 kB.
-_CELLS, _LEAST_CELLS = 1200, 60
-_TIME_BIN_S = 0.05
-_PRESSURE_BINS = 200
-# A saved picture and the frame of its number differ by less than this (grey levels): by coding alone.
-_OTHER_PICTURE = 2.5
+from .store import LabelStore, image_name
+from .survey import By, Progress, Survey, cells_for, survey
 
 Counting = Callable[[str], AbstractContextManager[Progress]]
-
-
-class By(StrEnum):
-    """What the chosen frames are spread evenly over."""
-
-    PRESSURE = "pressure"
-    APPEARANCE = "appearance"
-    TIME = "time"
 
 
 @dataclass
@@ -72,7 +54,7 @@ class _Surveyed:
 
     survey: Survey
     stem: str
-    pressure: PressureOrder | None
+    pressure: PressureOrder | None = None
 
 
 def add_frames(
@@ -119,16 +101,17 @@ def add_frames(
         report.warnings += [f"{log_path}: {warning}" for warning in log.warnings]
         orders[path] = PressureOrder(log.time_s, log.pressure_kpa)
     store = LabelStore.of(project)
-    limit = max(_LEAST_CELLS, _CELLS // len(paths))
     surveyed: list[_Surveyed] = []
     for path in paths:
         try:
             with counting(f"{path.name}: looking") as progress:
-                surveyed.append(
-                    _look_through(store, path, by, limit, orders.get(path), surveyed, report, progress)
-                )
+                cells = cells_for(by, len(paths), orders.get(path))
+                found = _look_through(store, path, cells, [other.stem for other in surveyed], progress)
+                surveyed.append(replace(found, pressure=orders.get(path)))
         except BendtrackError as error:
             report.failed[path] = str(error).removeprefix(f"{path}: ")
+        else:
+            report.warnings += [f"{path}: {warning}" for warning in surveyed[-1].survey.warnings]
     if actuator is not None and surveyed:
         project.assign_actuator(actuator, [found.stem for found in surveyed])
     groups: dict[str, list[_Surveyed]] = {}
@@ -174,71 +157,27 @@ def _log_in(folder: Path, video: Path) -> Path:
 
 
 def _look_through(
-    store: LabelStore,
-    video: Path,
-    by: By,
-    limit: int,
-    pressure: PressureOrder | None,
-    earlier: Sequence[_Surveyed],
-    report: FramesReport,
-    progress: Progress,
+    store: LabelStore, video: Path, cells: LookCells | BinCells, taken: Sequence[str], progress: Progress
 ) -> _Surveyed:
-    """Survey a video and find the name for its pictures.
-
-    Two videos of one name never share a folder: a folder is the video's if its pictures are frames of it, and the
-    second video's gets the first digits of its hash.
-    """
-    cells = LookCells(limit) if by is By.APPEARANCE else _bins(by, limit, pressure)
-    own = video_stem(video)
-    stems = [own, f"{own}-{file_sha256(video)[:8]}"] if video.is_file() else [own]
-    known = {index for stem in stems for index in _pictures(store, stem)}
+    """Survey a video and find the name for its pictures."""
+    stems = possible_stems(video)
+    known = {index for stem in stems for index in numbered_pictures(store, stem)}
     found = survey(video, cells, known=known, progress=progress)
     if not found.cells and not found.known:
-        raise VideoError(
-            f"{video}: expected frames that can be decoded"
-            + (" within the times of the pressure log, got none" if pressure else ", got none")
-        )
-    report.warnings += [f"{video}: {warning}" for warning in found.warnings]
-    taken = {other.stem for other in earlier}
-    stem = next((s for s in stems if s not in taken and _is_of(_pictures(store, s), found)), stems[-1])
-    if stem != own:
-        report.warnings.append(
-            f"{video}: pictures named '{own}' belong to another video, so these are named '{stem}'"
-        )
-    pictures = _pictures(store, stem)
-    mine = [glimpse for glimpse in found.known if glimpse.frame in pictures]
-    return _Surveyed(Survey(video, found.cells, mine, found.duration_s, found.warnings), stem, pressure)
-
-
-def _bins(by: By, limit: int, pressure: PressureOrder | None) -> BinCells:
-    if pressure is None:
-        return BinCells(lambda time_s: (time_s, 0), _TIME_BIN_S, limit)
-    return BinCells(
-        pressure.at, max(pressure.range_kpa / _PRESSURE_BINS, 1e-6), max(limit, 2 * _PRESSURE_BINS + 2)
+        raise VideoError(f"{video}: expected frames that are sound, within the times of a log, got none")
+    stem = own_stem(store, stems, taken, found.known)
+    pictures = numbered_pictures(store, stem)
+    warnings = list(found.warnings)
+    if stem != stems[0]:
+        warnings.append(f"pictures named '{stems[0]}' belong to another video, so these are named '{stem}'")
+    return _Surveyed(
+        replace(
+            found,
+            known=[glimpse for glimpse in found.known if glimpse.frame in pictures],
+            warnings=warnings,
+        ),
+        stem,
     )
-
-
-def _pictures(store: LabelStore, stem: str) -> dict[int, Path]:
-    """Pictures of a video by their frame."""
-    found = ((frame_index(path.name), path) for path in store.images(stem))
-    return {index: path for index, path in found if index is not None}
-
-
-def _is_of(pictures: dict[int, Path], found: Survey) -> bool:
-    """Whether pictures are frames of a video; a picture of another size (a crop) is taken for another's."""
-    looks = {glimpse.frame: glimpse for glimpse in found.known}
-    return all(index in looks and _shows(path, looks[index]) for index, path in pictures.items())
-
-
-def _shows(picture: Path, glimpse: Glimpse) -> bool:
-    grey = cv2.imdecode(np.frombuffer(picture.read_bytes(), np.uint8), cv2.IMREAD_GRAYSCALE)
-    look = None if grey is None else look_of(grey)
-    if look is None or look.shape != glimpse.look.shape:
-        return False
-    # What remains after the best brightness and contrast: formats differ in both.
-    seen = np.stack([look.ravel(), np.ones(look.size)], axis=1)
-    fit = np.linalg.lstsq(seen, glimpse.look.ravel(), rcond=None)[0]
-    return bool(np.sqrt(np.mean((seen @ fit - glimpse.look.ravel()) ** 2)) < _OTHER_PICTURE)
 
 
 def _places(group: Sequence[_Surveyed], by: By) -> list[PlaceOf] | None:
@@ -269,17 +208,16 @@ def _save(
     store: LabelStore, found: _Surveyed, glimpses: Sequence[Glimpse], report: FramesReport, progress: Progress
 ) -> None:
     """Decode once more, up to the last chosen frame, and write the pictures."""
-    left = {glimpse.frame for glimpse in glimpses}
-    saved = []
-    source = iter(Video(found.survey.video))
-    last = max(left, default=0)
-    while left:
-        frame = next(source)
-        if frame.index in left and frame.image is not None:
-            saved.append(store.add_image(found.stem, image_name(frame.index), frame.image))
-        left.discard(frame.index)
-        if frame.index % 32 == 0:
-            progress(frame.index, last)
-    source.close()
-    if saved:
-        report.saved[found.survey.video] = saved
+    wanted = {glimpse.frame for glimpse in glimpses}
+    if not wanted:
+        return
+    saved = report.saved.setdefault(found.survey.video, [])
+    last = max(wanted)
+    with closing(iter(Video(found.survey.video))) as frames:
+        for frame in frames:
+            if frame.index in wanted and frame.image is not None:
+                saved.append(store.add_image(found.stem, image_name(frame.index), frame.image))
+            if frame.index % 32 == 0:
+                progress(frame.index, last)
+            if frame.index >= last:
+                return

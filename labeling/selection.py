@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.spatial.distance import pdist, squareform
 
 from ..tracker.types import FloatArray
 from .gap_filling import Target, fill_gaps
@@ -21,10 +22,10 @@ from .pose_cells import Cell, rms_distances
 from .survey import Survey
 
 # How far from its place a frame may lie, in spacings of the places: room to find one that is not blurred.
-_SLACK = 0.45
+_SLACK = 0.7
 # A frame is blurred when it has less than this part of the detail that the sharpest like it has.
-_SHARP = 0.85
-# Looks about a place differ from the most typical one by less than this many times the median.
+_SHARP = 0.75
+# Looks about a place differ from the most typical one by less than this many times what is usual there.
 _ALIKE = 2.0
 # Two pictures that differ by no more than this many times the noise are one to a labeller.
 _SAME = 1.5
@@ -79,7 +80,7 @@ def _comparable(surveys: Sequence[Survey], *, by_appearance: bool) -> Iterator[l
         if not by_appearance:
             yield poses
             continue
-        view = views(rms_distances(_looks(surveys, poses)), _counts(poses))
+        view = views(_swept(_looks(surveys, poses)), _counts(poses))
         for number in range(view.max() + 1):
             yield [pose for pose, own in zip(poses, view, strict=True) if own == number]
 
@@ -118,7 +119,7 @@ class _Line:
             if glimpse.look.shape == shape
         ]
         if place_of is None:
-            self._value = motion_coordinate(rms_distances(self._looks), self._movement.weight)
+            self._value = motion_coordinate(_swept(self._looks), self._movement.weight)
             nearest = [int(np.argmin(self._differences(video, glimpse))) for video, glimpse in known]
             self._taken = [float(self._value[place]) for place in nearest]
         else:
@@ -153,8 +154,11 @@ class _Line:
         near = near[[self._kind(place) == turn for place in near]]
         # A hand in the picture is no rival in sharpness: only what looks like most about here counts.
         between = rms_distances(self._looks[near])
-        typical = int(np.argmin(between @ self._movement.weight[near]))
-        alike = near[between[typical] <= max(_ALIKE * np.median(between[typical]), self._movement.noise)]
+        typical = near[int(np.argmin(between @ self._movement.weight[near]))]
+        usual = np.median(
+            rms_distances(self._looks[typical][None], self._looks[away <= max(2 * target.room, away.min())])
+        )
+        alike = near[between[near == typical][0] <= max(_ALIKE * usual, self._movement.noise)]
         members = [(place, glimpse) for place in alike for glimpse in self._poses[place].cell.members]
         sharpness = np.array([self._sharpness(glimpse) for _, glimpse in members])
         is_sharp = sharpness >= _SHARP * sharpness.max()
@@ -168,10 +172,12 @@ class _Line:
         return self._poses[place].video, self._poses[place].cell.branch
 
     def _is_new(self, place: int, glimpse: Glimpse) -> bool:
+        """Whether a frame differs from all that are chosen or known; where nothing moves, no two do."""
+        if not self._seen:
+            return True
         look = self._look(self._poses[place].video, glimpse)
-        return not self._seen or bool(
-            rms_distances(look[None], np.stack(self._seen)).min() > _SAME * self._movement.noise
-        )
+        nearest = float(rms_distances(look[None], np.stack(self._seen)).min())
+        return self._movement.moves and nearest > _SAME * self._movement.noise
 
     def _look(self, video: int, glimpse: Glimpse) -> FloatArray:
         """What moves in a look, as bright as the others."""
@@ -188,6 +194,11 @@ def _place(place_of: PlaceOf, glimpse: Glimpse) -> float:
     """Place of a glimpse, NaN where nothing is known of its time."""
     value = place_of(glimpse.time_s)
     return np.nan if value is None else value
+
+
+def _swept(looks: FloatArray) -> FloatArray:
+    """Sums of absolute differences (n, n): the area that was swept, which grows evenly with the motion."""
+    return np.asarray(squareform(pdist(looks, "cityblock")))
 
 
 def _counts(poses: Sequence[_Pose]) -> FloatArray:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from contextlib import closing
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from ..tracker.read_ahead import read_ahead
 from ..tracker.video import Video
 from .glimpses import Glimpse, Glimpser
 from .pose_cells import BinCells, Cell, LookCells
+from .pressure_order import PressureOrder
 
 Progress = Callable[[int, int | None], None]
 
@@ -23,6 +25,18 @@ Progress = Callable[[int, int | None], None]
 # step with a motion that repeats.
 _LOOKS = 10_000
 _FRAMES_AHEAD = 16
+# What all videos of a run may keep together, and each at least. A cell takes up to 60 kB.
+_CELLS, _LEAST_CELLS = 1200, 60
+_TIME_BIN_S = 0.05
+_PRESSURE_BINS = 200
+
+
+class By(StrEnum):
+    """What chosen frames are spread evenly over."""
+
+    PRESSURE = "pressure"
+    APPEARANCE = "appearance"
+    TIME = "time"
 
 
 @dataclass(frozen=True)
@@ -43,6 +57,18 @@ class Survey:
     known: list[Glimpse]
     duration_s: float
     warnings: list[str]
+
+
+def cells_for(by: By, n_videos: int, pressure: PressureOrder | None = None) -> LookCells | BinCells:
+    """Empty cells for one of `n_videos` videos, whose pressure is known where frames are chosen by it."""
+    limit = max(_LEAST_CELLS, _CELLS // n_videos)
+    if by is By.APPEARANCE:
+        return LookCells(limit)
+    if pressure is None:
+        return BinCells(lambda time_s: (time_s, 0), _TIME_BIN_S, limit)
+    return BinCells(
+        pressure.at, max(pressure.range_kpa / _PRESSURE_BINS, 1e-6), max(limit, 2 * _PRESSURE_BINS + 2)
+    )
 
 
 def survey(

@@ -47,7 +47,8 @@ def frames(
     They are saved as pictures in labeled-data/. Blurred, damaged and equal frames are passed over. Once more, and
     further frames fill the gaps that are left. Exit status 1 when a video could not be used.
     """
-    from ...labeling.new_frames import By, add_frames
+    from ...labeling.new_frames import add_frames
+    from ...labeling.survey import By
     from ..project import Project
     from . import progress_bars
 
