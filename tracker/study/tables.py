@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -24,8 +25,13 @@ def write_csv_tables(tables: Mapping[str, pd.DataFrame], folder: str | Path) -> 
         path = Path(folder) / f"{name}.csv"
         try:
             with atomic_path(path) as temporary:
-                table.to_csv(temporary, index=False, lineterminator="\n", encoding="utf-8")
+                table.map(_as_cell).to_csv(temporary, index=False, lineterminator="\n", encoding="utf-8")
         except OSError as error:
             raise ResultsError(f"{path}: cannot be written ({error.strerror or error})") from error
         paths.append(path)
     return paths
+
+
+def _as_cell(value: Any) -> Any:
+    """Several numbers in one cell are parted by spaces, so that they come apart again in any language."""
+    return " ".join(map(str, value)) if isinstance(value, tuple) else value

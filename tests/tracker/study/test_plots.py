@@ -191,8 +191,10 @@ def test_grid_has_a_panel_for_each_frequency_and_pressure():
     loops = {name: [ellipse(50 + 10 * row)] * 3 for row, name in enumerate(dynamic["trial"])}
     figure = leaf_grid_figure(dynamic, loops, LOOKS)
     assert len(figure.axes) == 4
-    colours = [[to_hex(lines.get_color()[0]) for lines in axes.collections] for axes in figure.axes]
-    assert colours == [[RED.colour, PURPLE.colour]] * 3 + [[RED.colour]]
+    colours = [[to_hex(colour) for colour in axes.collections[0].get_colors()] for axes in figure.axes]
+    assert colours == [[RED.colour] * 3 + [PURPLE.colour] * 3] * 3 + [[RED.colour] * 3]
+    segments = figure.axes[0].collections[0].get_segments()
+    assert [segment[:, 1].max() for segment in segments] == pytest.approx([50] * 3 + [90] * 3, abs=0.1)
     assert [axes.get_title("center") for axes in figure.axes[:2]] == [
         "40 kPa peak to peak",
         "50 kPa peak to peak",
@@ -216,12 +218,18 @@ def test_bars_have_the_values_and_hold_their_whiskers():
         (slow_ratio, 0.0625, "hysteresis_ratio"),
         (fast_ratio, 0.25, "hysteresis_ratio"),
     ):
-        here = dynamic[dynamic["frequency_hz"] == frequency].sort_values("pressure_pp_kpa", kind="stable")
+        here = dynamic[dynamic["frequency_hz"] == frequency]
         assert [bar.get_height() for bar in axes.patches] == pytest.approx(list(here[metric]))
-        assert [to_hex(bar.get_facecolor()) for bar in axes.patches] == [RED.colour, PURPLE.colour] * 2
+        assert [to_hex(bar.get_facecolor()) for bar in axes.patches] == [RED.colour] * 2 + [PURPLE.colour] * 2
+        middles = [bar.get_x() + bar.get_width() / 2 for bar in axes.patches]
+        assert np.round(middles).tolist() == [0, 1, 0, 1]
+        assert middles[0] < middles[2]  # the study's order within a pressure
         assert axes.get_ylim()[1] >= here[f"{metric}_high"].max()
-        whiskers = [container.lines[2][0].get_segments()[0][:, 1] for container in axes.containers[1::2]]
-        np.testing.assert_allclose(whiskers, here[[f"{metric}_low", f"{metric}_high"]])
+        whiskers = [segment for c in axes.containers[1::2] for segment in c.lines[2][0].get_segments()]
+        np.testing.assert_allclose(
+            [segment[:, 1] for segment in whiskers], here[[f"{metric}_low", f"{metric}_high"]]
+        )
+        np.testing.assert_allclose([segment[0, 0] for segment in whiskers], middles)
     assert slow_ratio.get_ylim()[1] >= dynamic["hysteresis_ratio_high"].max()
     assert slow_response.get_ylabel() == "dynamic response (°)"
     assert slow_ratio.get_xlabel() == "peak-to-peak pressure (kPa)"

@@ -34,6 +34,11 @@ def test_csv_comes_back_as_it_went(tmp_path):
     assert path.read_text(encoding="utf-8").splitlines()[0] == "trial,cycle,hysteresis_ratio,used"
 
 
+def test_several_numbers_in_a_cell_come_apart_again(tmp_path):
+    (path,) = write_csv_tables({"dynamic": pd.DataFrame({"cycles_used": [(2, 3, 12), ()]})}, tmp_path)
+    assert path.read_text() == 'cycles_used\n2 3 12\n""\n'
+
+
 def test_an_empty_table_keeps_its_columns(tmp_path):
     (path,) = write_csv_tables({"static": pd.DataFrame(columns=["trial", "rmse_deg"])}, tmp_path)
     assert path.read_text() == "trial,rmse_deg\n"

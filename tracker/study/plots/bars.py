@@ -55,39 +55,42 @@ def bars_figure(dynamic: pd.DataFrame, looks: Mapping[str, Look]) -> Figure:
 def _draw_groups(
     axes: Axes, trials: pd.DataFrame, pressures: list[float], metric: str, looks: Mapping[str, Look]
 ) -> None:
-    most = max((int((trials["pressure_pp_kpa"] == pressure).sum()) for pressure in pressures), default=1)
-    width = _GROUP / max(most, 1)
-    place_of = {name: index for index, name in enumerate(looks)}
-    for group, pressure in enumerate(pressures):
-        here = trials[trials["pressure_pp_kpa"] == pressure]
-        here = here.iloc[np.argsort([place_of[name] for name in here["design"]], kind="stable")]
-        at = group + width * (np.arange(len(here)) - (len(here) - 1) / 2)
-        for x, trial in zip(at, here.to_dict("records"), strict=True):
-            look = looks[str(trial["design"])]
-            value = trial[metric]
-            axes.bar(x, value, 0.86 * width, color=look.colour, linewidth=0)
-            low, high = trial[f"{metric}_low"], trial[f"{metric}_high"]
-            if np.isfinite([value, low, high]).all():
-                axes.errorbar(
-                    x,
-                    value,
-                    [[value - low], [high - value]],
-                    color=INK,
-                    linewidth=0.7,
-                    capsize=1.3,
-                    capthick=0.7,
-                )
-            # At the foot, so that designs are told apart without colour.
-            axes.plot(
-                x,
-                0.035,
-                transform=axes.get_xaxis_transform(),
-                marker=look.marker,
-                markersize=2.8,
-                color="white",
-                markeredgecolor=look.edge,
-                markeredgewidth=0.5,
-                linestyle="none",
-            )
+    counts = trials.groupby("pressure_pp_kpa").size()
+    width = _GROUP / max(counts.max(), 1)
+    # A bar's place: its group, and its rank in the group by the study's order of designs.
+    rank = trials["design"].map({name: index for index, name in enumerate(looks)})
+    order = trials.assign(order=rank).sort_values("order", kind="stable")
+    within = order.groupby("pressure_pp_kpa").cumcount() - (order["pressure_pp_kpa"].map(counts) - 1) / 2
+    group = order["pressure_pp_kpa"].map({pressure: index for index, pressure in enumerate(pressures)})
+    order = order.assign(x=group + width * within)
+    for name, look in looks.items():
+        here = order[order["design"] == name]
+        x, value = here["x"].to_numpy(float), here[metric].to_numpy(float)
+        if not len(x):
+            continue
+        axes.bar(x, value, 0.86 * width, color=look.colour, linewidth=0)
+        ends = here[[f"{metric}_low", f"{metric}_high"]].to_numpy(float).T
+        axes.errorbar(
+            x,
+            value,
+            np.abs(ends - value),
+            linestyle="none",
+            color=INK,
+            elinewidth=0.7,
+            capsize=1.3,
+            capthick=0.7,
+        )
+        # At the foot, so that designs are told apart without colour.
+        axes.plot(
+            x,
+            np.full(len(x), 0.035),
+            transform=axes.get_xaxis_transform(),
+            marker=look.marker,
+            markersize=2.8,
+            color="white",
+            markeredgecolor=look.edge,
+            markeredgewidth=0.5,
+            linestyle="none",
+        )
     axes.set_xticks(range(len(pressures)), [f"{pressure:g}" for pressure in pressures])
     axes.tick_params(axis="x", length=0)

@@ -105,7 +105,7 @@ def _example_figures(results: StudyResults, trials: Sequence[TrialData], looks: 
         return
     caption = f"{example.name}: bending angle and pressure over time."
     yield "time_series", caption, False, time_series_figure(example, looks[example.design])
-    leaf = leaf_of(example.name, results)
+    leaf = leaves_of(results).get(example.name, Leaf())
     caption = (
         f"{example.name}: {len(leaf.loops)} cycles and their mean. The hysteresis ratio is the area within the leaf "
         f"over the area of the dashed rectangle, which reaches to the axes."
@@ -132,7 +132,7 @@ def _dynamic_figures(results: StudyResults, looks: dict[str, Look]) -> _Figures:
             "Angle against pressure of all dynamic trials, by frequency (rows) and peak-to-peak pressure (columns). "
             "A mark stands at the tip of each design's leaf."
         )
-        loops = {name: leaf_of(name, results).loops for name in placed["trial"]}
+        loops = {name: leaf.loops for name, leaf in leaves_of(results).items()}
         yield "leaves", caption, False, leaf_grid_figure(placed, loops, looks)
         caption = (
             f"Dynamic response (largest angle) and hysteresis ratio of every trial; whiskers are "
@@ -188,8 +188,9 @@ def start_trial_sheets(
 ) -> TrialSheets:
     """Begin to write a sheet for each trial, in `workers` other processes (0: in this one, when collected)."""
     names = file_names(trial.name for trial in trials)
+    leaves = leaves_of(results)
     jobs = [
-        (trial, looks[trial.design], leaf_of(trial.name, results), folder / names[trial.name])
+        (trial, looks[trial.design], leaves.get(trial.name, Leaf()), folder / names[trial.name])
         for trial in trials
     ]
     return TrialSheets(jobs, workers)
@@ -249,23 +250,22 @@ def write_sheet(trial: TrialData, look: Look, leaf: Leaf, stem: Path) -> bytes:
     return _for_screen(save_figure(figure, stem).reduce(2), 64)
 
 
-def leaf_of(name: str, results: StudyResults) -> Leaf:
-    """A trial's leaf from the results; an empty one where it has none."""
-    loops = results.loops.get(name, [])
-    rows = results.dynamic.loc[results.dynamic["trial"] == name]
-    if not len(loops) or rows.empty:
-        return Leaf()
-    row = rows.to_dict("records")[0]
-    first_used = 1 if row["first_cycle_apart"] else 0
-    return Leaf(
-        loops=tuple(loops[first_used:]),
-        apart=tuple(loops[:first_used]),
-        largest_pressure_kpa=float(row["largest_pressure_kpa"]),
-        largest_angle_deg=float(row["dynamic_response_deg"]),
-        note=f"ratio {interval_of(row, 'hysteresis_ratio', 3)}"
-        if math.isfinite(row["hysteresis_ratio"])
-        else "",
-    )
+def leaves_of(results: StudyResults) -> dict[str, Leaf]:
+    """The leaf of every dynamic trial that has loops, by the trial's name."""
+    leaves = {}
+    for row in results.dynamic.to_dict("records"):
+        loops = results.loops.get(row["trial"], [])
+        first_used = 1 if row["first_cycle_apart"] else 0
+        ratio = interval_of(row, "hysteresis_ratio", 3) if math.isfinite(row["hysteresis_ratio"]) else ""
+        if loops:
+            leaves[row["trial"]] = Leaf(
+                loops=tuple(loops[first_used:]),
+                apart=tuple(loops[:first_used]),
+                largest_pressure_kpa=float(row["largest_pressure_kpa"]),
+                largest_angle_deg=float(row["dynamic_response_deg"]),
+                note=f"ratio {ratio}" if ratio else "",
+            )
+    return leaves
 
 
 def file_names(names: Iterable[str]) -> dict[str, str]:
@@ -290,5 +290,7 @@ def file_names(names: Iterable[str]) -> dict[str, str]:
 def _for_screen(picture: Image.Image, colours: int) -> bytes:
     """The picture as a PNG with a palette: a third of the size, and no difference to the eye."""
     data = io.BytesIO()
-    picture.quantize(colours, dither=Image.Dither.NONE).save(data, format="PNG", compress_level=6)
+    picture.quantize(colours, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(
+        data, format="PNG", compress_level=6
+    )
     return data.getvalue()

@@ -17,7 +17,7 @@ from .page import PAGE_MM, house_style, limit_from_zero, new_figure, quiet_grid
 
 _ROW_MM = 46.0
 # Points a cycle: what a panel of a fifth of the page can show.
-_POINTS = 120
+_POINTS = 100
 
 
 def leaf_grid_figure(
@@ -44,8 +44,7 @@ def leaf_grid_figure(
                 quiet_grid(axes, "both")
                 if here.empty:
                     axes.text(0.5, 0.5, "no trial", transform=axes.transAxes, ha="center", color="0.6")
-                for trial in _in_order(here, looks):
-                    _draw_trial(axes, loops[str(trial["trial"])], looks[str(trial["design"])])
+                _draw_trials(axes, here, loops, looks)
                 if row == 0:
                     axes.set_title(f"{pressure:g} kPa peak to peak", loc="center")
                 if column == 0:
@@ -67,20 +66,29 @@ def leaf_grid_figure(
     return figure
 
 
-def _draw_trial(axes: Axes, loops: Sequence[FloatArray], look: Look) -> None:
-    cycles = [_thinned(loop) for loop in loops]
-    # Tens of thousands of points: pixels within the PDF, at the resolution of the PNG.
-    lines = LineCollection(cycles, colors=look.colour, linewidths=0.45, alpha=0.8, rasterized=True)
+def _draw_trials(
+    axes: Axes, trials: pd.DataFrame, loops: Mapping[str, Sequence[FloatArray]], looks: Mapping[str, Look]
+) -> None:
+    """The leaves of one panel, in the study's order of designs, so that what lies on top is alike in all panels."""
+    cycles: list[FloatArray] = []
+    colours: list[str] = []
+    place = {name: index for index, name in enumerate(looks)}
+    for trial in sorted(trials.to_dict("records"), key=lambda trial: place[trial["design"]]):
+        look = looks[trial["design"]]
+        own = [_thinned(loop) for loop in loops[trial["trial"]]]
+        cycles += own
+        colours += [look.colour] * len(own)
+        axes.plot(
+            *_tip(mean_loop(own)),
+            marker=look.marker,
+            color=look.colour,
+            markeredgecolor=look.edge,
+            markeredgewidth=0.6,
+            markersize=4,
+            zorder=5,
+        )
+    lines = LineCollection(cycles, colors=colours, linewidths=0.45, alpha=0.8)
     axes.add_collection(lines, autolim=False)
-    axes.plot(
-        *_tip(mean_loop(cycles)),
-        marker=look.marker,
-        color=look.colour,
-        markeredgecolor=look.edge,
-        markeredgewidth=0.6,
-        markersize=4,
-        zorder=5,
-    )
 
 
 def _extremes(
@@ -90,12 +98,6 @@ def _extremes(
     points = np.concatenate([loop for name in names for loop in loops[name]])
     (low_kpa, low_deg), (high_kpa, high_deg) = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     return (float(low_kpa), float(high_kpa)), (float(low_deg), float(high_deg))
-
-
-def _in_order(trials: pd.DataFrame, looks: Mapping[str, Look]) -> list[dict[str, object]]:
-    """Trials in the study's order of designs, so that what lies on top is the same in every panel."""
-    place = {name: index for index, name in enumerate(looks)}
-    return sorted(trials.to_dict("records"), key=lambda trial: place[str(trial["design"])])  # type: ignore[arg-type]
 
 
 def _thinned(loop: FloatArray) -> FloatArray:

@@ -101,6 +101,11 @@ def save_figure(figure: Figure, stem: str | Path) -> Image.Image:
     """
     stem = Path(stem)
     with house_style():
+        layout = figure.get_layout_engine()
+        if layout is not None:
+            # Solved once, not again for each file.
+            layout.execute(figure)
+            figure.set_layout_engine(None)
         with _written(stem.with_name(f"{stem.name}.pdf")) as path:
             # No date: the same study gives the same files, byte for byte.
             figure.savefig(path, format="pdf", metadata={"CreationDate": None})
@@ -111,7 +116,7 @@ def save_figure(figure: Figure, stem: str | Path) -> Image.Image:
         figure.dpi = own_dpi
         with _written(stem.with_name(f"{stem.name}.png")) as path:
             # Twice as fast as the usual 6, a few per cent larger.
-            picture.save(path, format="PNG", dpi=(DPI, DPI), compress_level=3)
+            picture.save(path, format="PNG", dpi=(DPI, DPI), compress_level=1)
     return picture
 
 

@@ -60,6 +60,7 @@ def draw_time_series(angle_axes: Axes, pressure_axes: Axes, trial: TrialData, lo
     _limit(pressure_axes, trial.log_pressure_kpa)
     if len(trial.time_s) > 1:
         pressure_axes.set_xlim(float(trial.time_s[0]), float(trial.time_s[-1]))
+    pressure_axes.locator_params(axis="x", nbins=7)
     for axes, labels in ((angle_axes, 4), (pressure_axes, 3)):
         quiet_grid(axes)
         # Half of the time that a figure takes goes into its ticks.
