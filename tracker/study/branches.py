@@ -96,6 +96,8 @@ def turning_angle(
 
 def frame_noise_deg(angle_deg: FloatArray) -> float:
     """Noise of one frame's angle, from how much frames leave the line through their neighbours."""
+    if angle_deg.size < 3:
+        return float("nan")
     return 1.4826 * float(np.median(np.abs(np.diff(angle_deg, n=2)))) / 6**0.5
 
 
@@ -186,7 +188,8 @@ class _Meetings:
         that far themselves: a polynomial may bend where they do not.
         """
         count = self.order
-        away = float(np.sign(np.sum(self.off_kpa)))  # to which side of the turn the frames' pressures lie
+        # To which side of the turn the frames' pressures lie; all on it are no branch.
+        away = -1.0 if np.sum(self.off_kpa) < 0 else 1.0
         x = away * np.linspace(0, 0.5, 51)[1:]
         powers = x[:, None] ** np.arange(1, count + 1)
         gain = np.concatenate(
@@ -252,7 +255,7 @@ def _meetings(
 
     def frames_near(share: float) -> tuple[np.ndarray, np.ndarray]:
         """(C, N) the frames within a share of the range, and (C,) how many the poorer branch has of them."""
-        near = inside & (np.abs(off) <= share * reach) & np.isfinite(off)
+        near = inside & (np.abs(off) <= share * reach) & np.isfinite(off) & (np.abs(late) >= turning.blind_s)
         before = (near & (late < 0)).sum(axis=1)
         return near, np.minimum(before, near.sum(axis=1) - before)
 

@@ -14,6 +14,8 @@ from ..types import FloatArray
 
 # How far around a turn the log is looked at: share of the period, and at most.
 _WINDOW_SHARE, _WINDOW_S = 0.06, 0.25
+# In a coarse log, at least so many readings either way, but never more than a quarter of the period.
+_COARSE_STEPS = 5
 # Half widths of a rounded corner that are tried, as shares of the window; 0 is sharp.
 _ROUNDINGS = (0.0, 0.04, 0.06, 0.09, 0.13, 0.18, 0.25, 0.35, 0.5, 0.7, 1.0)
 # Readings are averaged in this many cells before the fits, and the curve is kept at as many places.
@@ -30,6 +32,7 @@ class TurningPressure:
     turn_s, kpa : (C,) when it turns, and its pressure there
     common_sd_kpa : standard uncertainty that all of `kpa` share, from the curve that they share
     curve_s, curve_kpa : (G,) the curve: time after the turn, pressure less that of the turn
+    blind_s : time around a turn in which the log is too coarse to tell the pressure; 0 with a curve
     """
 
     turn_s: FloatArray
@@ -37,6 +40,7 @@ class TurningPressure:
     common_sd_kpa: float
     curve_s: FloatArray
     curve_kpa: FloatArray
+    blind_s: float = 0.0
 
     def off_kpa(self, late_s: FloatArray) -> FloatArray:
         """Pressure less that of the turn, so long after a turn; NaN further away than the curve reaches."""
@@ -59,18 +63,22 @@ def turning_pressure(
     turns_s : (C,) roughly when it turns
     period_s : of the cycles
     """
-    reach = min(_WINDOW_SHARE * period_s, _WINDOW_S)
     known = np.isfinite(pressure_kpa)
     time_s, pressure_kpa = time_s[known], pressure_kpa[known]
+    step_s = float(np.median(np.diff(time_s))) if time_s.size > 1 else 0.0
+    reach = min(_WINDOW_SHARE * period_s, _WINDOW_S)
+    coarse = _COARSE_STEPS * step_s > reach
+    reach = min(max(reach, _COARSE_STEPS * step_s), period_s / 4)
     turns_s = np.array([_aligned(time_s, pressure_kpa, float(turn), reach) for turn in turns_s])
     places = [slice(*np.searchsorted(time_s, (turn - reach, turn + reach)).tolist()) for turn in turns_s]
     counts = np.array([place.stop - place.start for place in places])
     rich = counts >= _FEWEST_READINGS
     kpa = np.interp(turns_s, time_s, pressure_kpa) if time_s.size else np.full(turns_s.size, np.nan)
     if not rich.any():
-        step = float(np.median(np.diff(time_s))) if time_s.size > 1 else float("nan")
-        sd = abs(float(np.median(np.diff(pressure_kpa)))) if step == step else float("nan")
-        return TurningPressure(turns_s, kpa, sd, np.array([0.0]), np.array([0.0]))
+        if time_s.size < 2:
+            return TurningPressure(turns_s, kpa, float("nan"), np.zeros(1), np.zeros(1))
+        # The top may lie anywhere between two readings.
+        return TurningPressure(turns_s, kpa, _step_kpa(pressure_kpa) / 2, np.zeros(1), np.zeros(1), step_s)
     off = [(time_s[place] - turn) / reach for place, turn in zip(places, turns_s, strict=True)]
     means = np.array([pressure_kpa[place].mean() if place.stop > place.start else np.nan for place in places])
     level = [pressure_kpa[place] - mean for place, mean in zip(places, means, strict=True)]
@@ -78,10 +86,17 @@ def turning_pressure(
     cells = _averaged(np.concatenate([off[c] for c in chosen]), np.concatenate([level[c] for c in chosen]))
     grid = np.linspace(-1, 1, 2 * _CELLS + 1)
     curve, top, sd = _mean_curve(*cells, grid)
+    if coarse:  # a corner rounded between two readings lies up to a quarter of their step lower
+        sd = float(np.hypot(sd, _step_kpa(pressure_kpa) / 8))
     # What the readings of a turn would average to on the curve; not 0 where they lie unevenly.
     usual = [float(np.interp(off[c], grid, curve).mean()) for c in chosen]
     kpa[chosen] = means[chosen] - usual + top
     return TurningPressure(turns_s, kpa, sd, grid * reach, curve - top)
+
+
+def _step_kpa(pressure_kpa: FloatArray) -> float:
+    """How far the pressure usually goes from one reading to the next."""
+    return float(np.median(np.abs(np.diff(pressure_kpa))))
 
 
 def _aligned(time_s: FloatArray, pressure_kpa: FloatArray, turn_s: float, reach_s: float) -> float:

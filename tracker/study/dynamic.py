@@ -23,6 +23,8 @@ _APART_P = 0.01 / 3
 _DRIFT_P = 0.01
 # Pressure this far below 0, as a share of the largest, leaves the paper's rectangle; so does an angle.
 _BELOW_SHARE = 0.05
+# A largest angle under so many of its standard deviations is no movement.
+_MOVED_SD = 3.0
 # Pressures at which cycles are compared, on either branch.
 _LEVELS = 50
 _APART = "differs from the cycles after it"
@@ -248,6 +250,11 @@ def _ratio(
     if not response.value > 0:
         warnings.append(
             f"the largest angle is {response.value:.1f} deg, not above 0: no hysteresis ratio to the axes"
+        )
+        return Estimate(NAN)
+    if response.value < _MOVED_SD * (response.sd if math.isfinite(response.sd) else measured.frame_noise_deg):
+        warnings.append(
+            f"the largest angle is {response.value:.2g} deg, within its noise: no hysteresis ratio to the axes"
         )
         return Estimate(NAN)
     ratio = hysteresis_ratio(float(used.areas.mean()), pressure.value, response.value)

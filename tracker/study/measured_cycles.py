@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..types import FloatArray
-from .branches import TurningAngle, turning_angle
+from .branches import TurningAngle, frame_noise_deg, turning_angle
 from .corner import TurningPressure, turning_pressure
 from .cycles import CycleTrain
 from .hysteresis import loop_area_deg_kpa, mid_pressure_width_deg
@@ -47,6 +47,7 @@ class MeasuredCycles:
     tops, feet : pressure where each turns, and where it ends
     largest, residual : angle there
     loops : (C,) arrays (N, 2) kPa and deg, ends interpolated, gaps bridged
+    frame_noise_deg : of one frame's angle
     areas_deg_kpa, widths_deg : (C,) cumulative hysteresis, and width at mid pressure
     area_by_shift, width_by_shift : (C,) what they gain per second by which the pressure is taken later
     """
@@ -59,6 +60,7 @@ class MeasuredCycles:
     largest: TurningAngle
     residual: TurningAngle
     loops: tuple[FloatArray, ...]
+    frame_noise_deg: float
     areas_deg_kpa: FloatArray
     widths_deg: FloatArray
     area_by_shift: FloatArray
@@ -104,6 +106,7 @@ def measure_cycles(trial: TrialData, train: CycleTrain) -> MeasuredCycles:
         largest=largest,
         residual=residual,
         loops=tuple(curve.between(start, end) for start, _, end in bounds),
+        frame_noise_deg=frame_noise_deg(curve.angle_deg),
         areas_deg_kpa=areas(0.0),
         widths_deg=widths(0.0),
         area_by_shift=(areas(half_s) - areas(-half_s)) / (2 * half_s),

@@ -290,6 +290,25 @@ def test_an_angle_that_never_rises_above_zero_has_no_ratio():
     assert any("not above 0" in warning for warning in numbers.warnings)
 
 
+def test_an_actuator_that_does_not_move_has_no_ratio():
+    numbers = measure_dynamic(trial_of(triangle_kpa, lambda t: 0 * t))
+    assert np.isnan(numbers.hysteresis_ratio.value)
+    assert abs(numbers.dynamic_response_deg.value) < 0.5
+
+
+def test_a_coarse_log_does_not_bias_the_largest_angle():
+    trial = trial_of(triangle_kpa, curved(), noise_kpa=0.0)
+    coarse_s = trial.log_time_s[28::80]  # 5 readings a second, fewer than frames, and none at a turn
+    coarse_kpa = triangle_kpa(coarse_s)
+    pressure_kpa = np.interp(trial.time_s, coarse_s, coarse_kpa)
+    trial = dataclasses.replace(
+        trial, log_time_s=coarse_s, log_pressure_kpa=coarse_kpa, pressure_kpa=pressure_kpa
+    )
+    numbers = measure_dynamic(trial)
+    assert coarse_kpa.max() < PEAK_KPA - 1
+    assert_within(numbers.dynamic_response_deg, 118, 1.5)
+
+
 def test_an_actuator_that_bends_the_other_way_has_its_turning_angles():
     numbers = measure_dynamic(trial_of(triangle_kpa, lambda t: -curved()(t)))
     assert numbers.dynamic_response_deg.value == pytest.approx(-118, abs=0.2)
