@@ -117,7 +117,10 @@ def _fitted(meetings: _Meetings, count: int, frame_s: float) -> tuple[TurningAng
     beyond_deg = meetings.beyond_deg(common, fit.coefficients, variance)
     values_deg[meetings.places] = fit.value_deg + fit.by_common @ step + beyond_deg
     by_common = fit.by_common.mean(axis=0)
-    return TurningAngle(values_deg, float(np.sqrt(by_common @ covariance @ by_common))), variance
+    unseen_deg = float(by_common[1]) * meetings.turning.unseen_kpa
+    return TurningAngle(
+        values_deg, float(np.sqrt(by_common @ covariance @ by_common + unseen_deg**2))
+    ), variance
 
 
 @dataclass(frozen=True)

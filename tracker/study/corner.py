@@ -33,6 +33,7 @@ class TurningPressure:
     common_sd_kpa : standard uncertainty that all of `kpa` share, from the curve that they share
     curve_s, curve_kpa : (G,) the curve: time after the turn, pressure less that of the turn
     blind_s : time around a turn in which the log is too coarse to tell the pressure; 0 with a curve
+    unseen_kpa : what the corner may have between two readings of a coarse log, and no angle can tell; else 0
     """
 
     turn_s: FloatArray
@@ -41,6 +42,7 @@ class TurningPressure:
     curve_s: FloatArray
     curve_kpa: FloatArray
     blind_s: float = 0.0
+    unseen_kpa: float = 0.0
 
     def off_kpa(self, late_s: FloatArray) -> FloatArray:
         """Pressure less that of the turn, so long after a turn; NaN further away than the curve reaches."""
@@ -78,7 +80,8 @@ def turning_pressure(
         if time_s.size < 2:
             return TurningPressure(turns_s, kpa, float("nan"), np.zeros(1), np.zeros(1))
         # The top may lie anywhere between two readings.
-        return TurningPressure(turns_s, kpa, _step_kpa(pressure_kpa) / 2, np.zeros(1), np.zeros(1), step_s)
+        step_kpa = _step_kpa(pressure_kpa)
+        return TurningPressure(turns_s, kpa, step_kpa / 2, np.zeros(1), np.zeros(1), step_s, step_kpa / 2)
     off = [(time_s[place] - turn) / reach for place, turn in zip(places, turns_s, strict=True)]
     means = np.array([pressure_kpa[place].mean() if place.stop > place.start else np.nan for place in places])
     level = [pressure_kpa[place] - mean for place, mean in zip(places, means, strict=True)]
@@ -86,12 +89,12 @@ def turning_pressure(
     cells = _averaged(np.concatenate([off[c] for c in chosen]), np.concatenate([level[c] for c in chosen]))
     grid = np.linspace(-1, 1, 2 * _CELLS + 1)
     curve, top, sd = _mean_curve(*cells, grid)
-    if coarse:  # a corner rounded between two readings lies up to a quarter of their step lower
-        sd = float(np.hypot(sd, _step_kpa(pressure_kpa) / 8))
+    # A corner that is rounded between two readings may lie up to a quarter of their step lower.
+    unseen = _step_kpa(pressure_kpa) / 8 if coarse else 0.0
     # What the readings of a turn would average to on the curve; not 0 where they lie unevenly.
     usual = [float(np.interp(off[c], grid, curve).mean()) for c in chosen]
     kpa[chosen] = means[chosen] - usual + top
-    return TurningPressure(turns_s, kpa, sd, grid * reach, curve - top)
+    return TurningPressure(turns_s, kpa, sd, grid * reach, curve - top, unseen_kpa=unseen)
 
 
 def _step_kpa(pressure_kpa: FloatArray) -> float:
