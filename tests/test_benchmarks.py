@@ -18,6 +18,17 @@ SMALL = {
     ),
     "frames.py": (["--looks", "1", "--seconds", "4", "--size", "200x150"], "largest gap: at most"),
     "label_server.py": (["--clicks", "4", "--large", "1"], "a click, saved"),
+    "study.py": (
+        ["--designs", "2", "--fast-only", "--rounds", "1", "--studies", "1"],
+        "the tables' errors over 1 studies",
+    ),
+    "study_video.py": (
+        [
+            *("--steps", "3", "--labels", "6", "--cycles", "1", "--designs", "1", "--fast-only"),
+            *("--init", "random", "--keep-doubtful"),
+        ],
+        "largest error of a hysteresis ratio",
+    ),
     "speed.py": (["--seconds", "1.5", "--rounds", "1", "--steps", "2"], "decode to table / decoding"),
 }
 
