@@ -158,7 +158,7 @@ def _in_itself(
     frame: LabelledFrame, picture: _Picture, names: Sequence[str], unseen: Sequence[str]
 ) -> Iterator[Finding]:
     """What a frame's own picture and points tell."""
-    placed = np.isfinite(frame.xy).all(axis=1)
+    placed = np.asarray(np.isfinite(frame.xy).all(axis=1))
     missing = [name for name, there in zip(names, placed, strict=True) if not there and name not in unseen]
     if missing:
         yield _finding(frame, Problem.MISSING, f"{', '.join(missing)} not labelled", missing)
@@ -167,7 +167,7 @@ def _in_itself(
         if x < -0.5 or y < -0.5 or x > width - 0.5 or y > height - 0.5:
             message = f"{name} at ({x:.1f}, {y:.1f}) lies outside the picture of {width} x {height} px"
             yield _finding(frame, Problem.OUTSIDE, message, [name])
-    for first, second in combinations(np.flatnonzero(placed), 2):
+    for first, second in combinations(np.flatnonzero(placed).tolist(), 2):
         away = float(np.linalg.norm(frame.xy[first] - frame.xy[second]))
         if away < _ONE_PLACE_PX:
             pair = names[first], names[second]
@@ -221,7 +221,7 @@ def _against(shape: LabelShape, frame: LabelledFrame, names: Sequence[str]) -> I
             return
     expected = shape.curve[shape.best(frame.xy)]
     told = set()
-    for point in np.flatnonzero(far):
+    for point in np.flatnonzero(far).tolist():
         away = float(np.linalg.norm(frame.xy[point] - expected[point]))
         message = f"{names[point]} lies {away:.1f} px from where the other labels put it"
         jumps = [s for s in _jumps(shape, frame.xy, expected) if point in s]

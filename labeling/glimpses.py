@@ -52,7 +52,7 @@ class Glimpser:
         grey = _shrunk(grey, -(-max(grey.shape) // _WORK_PX))
         edges = cv2.convertScaleAbs(cv2.Laplacian(grey, cv2.CV_16S))
         look, detail = (
-            frame.orientation.apply(_shrunk(array, max(1, max(array.shape) // longer)).astype(np.float32))
+            frame.orientation.apply(_shrunk(array, max(1, max(array.shape) // longer))).astype(np.float32)
             for array, longer in ((grey, LOOK_PX), (edges, _TILES))
         )
         if self._reference is None:
@@ -78,7 +78,7 @@ def _luma(picture: av.VideoFrame) -> ImageArray:
     first = picture.format.components[0]
     if picture.format.name == "gray" or (first.is_luma and first.bits == 8 and len(picture.planes) > 1):
         plane = picture.planes[0]
-        rows = np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)
+        rows = np.frombuffer(memoryview(plane), np.uint8).reshape(-1, plane.line_size)
         return rows[: picture.height, : picture.width]
     return np.asarray(picture.to_ndarray(format="gray"))
 

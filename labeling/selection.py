@@ -149,9 +149,9 @@ class _Line:
         away = np.abs(self._value - target.value)
         near = np.flatnonzero(away <= max(_SLACK * target.room, away.min()))
         turn = min(
-            (self._kind(place) for place in near), key=lambda kind: (self._turns[kind[0]], self._turns[kind])
+            (self._kind(place) for place in near.tolist()), key=lambda kind: (self._turns[kind[0]], self._turns[kind])
         )
-        near = near[[self._kind(place) == turn for place in near]]
+        near = near[[self._kind(place) == turn for place in near.tolist()]]
         # A hand in the picture is no rival in sharpness: only what looks like most about here counts.
         between = rms_distances(self._looks[near])
         typical = near[int(np.argmin(between @ self._movement.weight[near]))]
