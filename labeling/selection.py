@@ -149,7 +149,8 @@ class _Line:
         away = np.abs(self._value - target.value)
         near = np.flatnonzero(away <= max(_SLACK * target.room, away.min()))
         turn = min(
-            (self._kind(place) for place in near.tolist()), key=lambda kind: (self._turns[kind[0]], self._turns[kind])
+            (self._kind(place) for place in near.tolist()),
+            key=lambda kind: (self._turns[kind[0]], self._turns[kind]),
         )
         near = near[[self._kind(place) == turn for place in near.tolist()]]
         # A hand in the picture is no rival in sharpness: only what looks like most about here counts.
