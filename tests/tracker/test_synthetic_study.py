@@ -169,7 +169,8 @@ def test_a_study_on_disk(tmp_path):
 
 
 def test_the_forms_of_a_log_hold_the_same(tmp_path):
-    study = simulate_study(tmp_path, seed=4, designs=("original", "mid-side walls thicker"), static=False)
+    designs = ("original", "mid-side walls thicker", "mid-top wall thicker")
+    study = simulate_study(tmp_path, seed=4, designs=designs, frequencies_hz=(0.25,), static=False)
     found = set()
     for path in (study.folder / "logs").iterdir():
         if path.suffix == ".mat":
@@ -210,3 +211,24 @@ def test_unknown_parts_are_refused(tmp_path):
         simulate_study(tmp_path, designs=("mid-height larger",))
     with pytest.raises(BendtrackError, match=r"expected a frequency of 0\.0625, 0\.25, got 0\.025"):
         simulate_study(tmp_path, frequencies_hz=(0.025,))
+
+
+def test_a_settled_actuator_has_no_first_cycle_of_its_own():
+    trial = CyclingTrial(0.25, 50.0, 100.0, 0.3, residual_deg=5.0, first_differs=False)
+    time_s = trial.rest_s + np.arange(2 * 2000) / 500
+    first, second = trial.angle_deg(time_s).reshape(2, 2000)
+    np.testing.assert_allclose(first, second, atol=1e-9)
+    assert trial.angle_deg(np.array([0.0]))[0] == 5.0
+
+
+def test_delays_are_wrong_where_that_is_asked_for(tmp_path):
+    part = {"designs": ("mid-width smaller",), "frequencies_hz": (0.25,), "static": False, "delay_sd_s": 0.03}
+    for wrong in (False, True):
+        study = simulate_study(tmp_path / str(wrong), seed=4, delay_error=wrong, **part)
+        trials = tomllib.loads(study.study_path.read_text())["trials"]
+        off_s = [
+            trial["sync"]["delay_s"] - study.truth["trials"][trial["name"]]["delay_s"] for trial in trials
+        ]
+        assert all(trial["sync"]["sd_s"] == 0.03 for trial in trials)
+        assert (np.abs(off_s) > 1e-4).all() if wrong else (np.abs(off_s) < 1e-5).all()
+        assert np.abs(off_s).max() < 0.12

@@ -119,3 +119,34 @@ def test_the_clocks_are_brought_together(paper):
         else:  # the first step of a staircase, which begins to bend the actuator slowly
             assert abs(off_s) < 2.5 * trial.shift.sd_s
             assert trial.shift.sd_s < 0.2
+
+
+@pytest.mark.slow
+def test_the_whole_study_with_clocks_as_wrong_as_they_may_be(tmp_path):
+    """All 54 trials and four staircases; every delay in the study file is off by a draw from its uncertainty."""
+    made = simulate_study(tmp_path, seed=1, delay_sd_s=0.02, delay_error=True)
+    study = read_study(made.study_path)
+    results = analyse_study(load_trials(study), baseline=study.baseline, angles_deg=study.compare_angles_deg)
+    dynamic = results.dynamic
+    assert len(dynamic) == 54
+    true = [made.truth["trials"][name] for name in dynamic.trial]
+    for column, key in (
+        ("hysteresis_ratio", "hysteresis_ratio"),
+        ("dynamic_response_deg", "angle_max_deg"),
+        ("hysteresis_deg_kpa", "area_deg_kpa"),
+    ):
+        values = np.array([trial[key] for trial in true])
+        assert ((dynamic[f"{column}_low"] <= values) & (values <= dynamic[f"{column}_high"])).mean() > 0.85
+    # A wrong clock moves no largest angle.
+    angles = np.array([trial["angle_max_deg"] for trial in true])
+    assert np.sqrt(np.mean((dynamic.dynamic_response_deg - angles) ** 2)) < 0.12
+    static = results.static.set_index("trial")
+    for name in ("mid-side-walls-thicker", "mid-top-wall-thicker", "mid-width-smaller"):
+        numbers = made.truth["trials"][f"{name}_static"]
+        assert static.loc[f"{name}_static"].rmse_deg == pytest.approx(numbers["model_rmse_deg"], abs=0.05)
+        assert static.loc[f"{name}_static"].nrmse == pytest.approx(numbers["model_nrmse"], abs=0.0005)
+    # The paper's finding: the first in dynamic response at 50 kPa and in hysteresis ratio at 140 degrees, slow.
+    first = results.ranking[(results.ranking["rank"] == 1) & (results.ranking.frequency_hz == 0.0625)]
+    at_140 = (first.metric == "hysteresis_ratio") & (first.angle_deg == 140)
+    at_50 = (first.metric == "dynamic_response_deg") & (first.pressure_pp_kpa == 50)
+    assert first[at_140 | at_50].design.tolist() == ["mid-width smaller"] * 2
