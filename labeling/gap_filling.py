@@ -47,8 +47,8 @@ def fill_gaps(low: float, high: float, taken: Sequence[float], count: int) -> li
     --------
     >>> [target.value for target in fill_gaps(0.0, 10.0, [], 3)]
     [0.0, 5.0, 10.0]
-    >>> [target.value for target in fill_gaps(0.0, 10.0, [0.0, 4.0], 3)]
-    [6.0, 8.0, 10.0]
+    >>> [target.value for target in fill_gaps(0.0, 10.0, [0.0, 4.0], 2)]
+    [7.0, 10.0]
     """
     edges = [low, *sorted(value for value in taken if low <= value <= high), high]
     last = len(edges) - 2

@@ -32,6 +32,9 @@ _SPECKS = 1 / 250
 # Looks closer than this many times the noise crowd: they are one pose many times.
 _CROWD = 2.5
 
+# Added to distances that become edges: a sparse matrix takes 0 for no edge.
+_NO_EDGE = 1e-6
+
 
 @dataclass(frozen=True)
 class Movement:
@@ -94,7 +97,7 @@ def views(distances: FloatArray, counts: FloatArray) -> np.ndarray:
 def _split(distances: FloatArray, shares: FloatArray, members: np.ndarray, view: np.ndarray) -> None:
     """Give the looks beyond the longest step another view, and go on with both sides."""
     within = distances[np.ix_(members, members)]
-    tree = minimum_spanning_tree(csr_matrix(np.where(np.isinf(within), 1e9, within + 1e-6))).tocoo()
+    tree = minimum_spanning_tree(csr_matrix(within + _NO_EDGE)).tocoo()
     for cut in np.argsort(-tree.data):
         rest = np.arange(len(tree.data)) != cut
         graph = csr_matrix((tree.data[rest], (tree.row[rest], tree.col[rest])), shape=within.shape)
@@ -123,12 +126,12 @@ def motion_coordinate(distances: FloatArray, weight: FloatArray) -> FloatArray:
     n = len(distances)
     if n < 3:
         return np.arange(n, dtype=np.float64) * (distances[0, -1] if n else 0.0)
-    graph = minimum_spanning_tree(csr_matrix(distances + 1e-6)).tolil()
+    graph = minimum_spanning_tree(csr_matrix(distances + _NO_EDGE)).toarray()
     neighbours = min(int(np.clip(n // _LOOKS_A_NEIGHBOUR, *_NEIGHBOURS)), n - 1)
     near = np.argpartition(distances, neighbours, axis=1)[:, : neighbours + 1]
     rows = np.repeat(np.arange(n), near.shape[1])
-    graph[rows, near.ravel()] = distances[rows, near.ravel()] + 1e-6
-    ways = shortest_path(graph.tocsr(), directed=False)
+    graph[rows, near.ravel()] = distances[rows, near.ravel()] + _NO_EDGE
+    ways = shortest_path(csr_matrix(graph), directed=False)
     square = ways**2
     # Weighted classical scaling: the double-centred squares, of which the largest eigenvector.
     across = square @ weight

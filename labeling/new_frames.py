@@ -20,7 +20,7 @@ from .pose_cells import BinCells, LookCells
 from .pressure_order import PressureOrder
 from .selection import PlaceOf, choose
 from .store import LabelStore, image_name
-from .survey import By, Progress, Survey, cells_for, survey
+from .survey import DECODING_THREADS, By, Progress, Survey, cells_for, survey
 
 Counting = Callable[[str], AbstractContextManager[Progress]]
 
@@ -213,7 +213,7 @@ def _save(
         return
     saved = report.saved.setdefault(found.survey.video, [])
     last = max(wanted)
-    with closing(iter(Video(found.survey.video))) as frames:
+    with closing(iter(Video(found.survey.video, threads=DECODING_THREADS))) as frames:
         for frame in frames:
             if frame.index in wanted and frame.image is not None:
                 saved.append(store.add_image(found.stem, image_name(frame.index), frame.image))

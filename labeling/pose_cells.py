@@ -34,18 +34,14 @@ class Cell:
 
     def take(self, other: Cell, rng: np.random.Generator) -> None:
         """Take over the frames of another cell."""
-        pool = [*self.members, *other.members]
         self.count += other.count
-        if len(pool) > _MEMBERS:
-            if len(other.members) == 1:  # reservoir sampling, the first stays
-                place = int(rng.integers(1, max(self.count, 2)))
-                pool = self.members
+        for glimpse in other.members:
+            if len(self.members) < _MEMBERS:
+                self.members.append(glimpse)
+            else:  # reservoir sampling, but the first stays
+                place = int(rng.integers(1, self.count))
                 if place < _MEMBERS:
-                    pool[place] = other.members[0]
-            else:
-                drawn = 1 + rng.permutation(len(pool) - 1)[: _MEMBERS - 1]
-                pool = [pool[0], *(pool[i] for i in sorted(drawn))]
-        self.members = pool
+                    self.members[place] = glimpse
 
 
 class LookCells:

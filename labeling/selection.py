@@ -63,9 +63,10 @@ def choose(
     For each video the glimpses of its chosen frames, by frame.
     """
     sets = list(_comparable(surveys, by_appearance=place_of is None))
+    known = _known(surveys, sets)
     chosen: list[list[Glimpse]] = [[] for _ in surveys]
-    for poses, share in zip(sets, _shares(sets, count), strict=True):
-        for video, glimpse in _Line(surveys, poses, place_of).choose(share):
+    for poses, own, share in zip(sets, known, _shares(sets, count), strict=True):
+        for video, glimpse in _Line(surveys, poses, own, place_of).choose(share):
             chosen[video].append(glimpse)
     return [sorted(glimpses, key=lambda glimpse: glimpse.frame) for glimpses in chosen]
 
@@ -83,6 +84,21 @@ def _comparable(surveys: Sequence[Survey], *, by_appearance: bool) -> Iterator[l
         view = views(_swept(_looks(surveys, poses)), _counts(poses))
         for number in range(view.max() + 1):
             yield [pose for pose, own in zip(poses, view, strict=True) if own == number]
+
+
+def _known(surveys: Sequence[Survey], sets: Sequence[Sequence[_Pose]]) -> list[list[tuple[int, Glimpse]]]:
+    """For each set of poses, the pictures there are that look most like it, with their videos."""
+    known: list[list[tuple[int, Glimpse]]] = [[] for _ in sets]
+    for video, found in enumerate(surveys):
+        own = [
+            (np.stack([_centred(p.cell.members[0], 1.0) for p in poses if p.video == video]), place)
+            for place, poses in enumerate(sets)
+            if any(p.video == video for p in poses)
+        ]
+        for glimpse in found.known if own else ():
+            look = _centred(glimpse, 1.0)[None]
+            known[min(own, key=lambda item: rms_distances(look, item[0]).min())[1]].append((video, glimpse))
+    return known
 
 
 def _shares(sets: Sequence[Sequence[_Pose]], count: int) -> list[int]:
@@ -103,7 +119,11 @@ class _Line:
     """Poses in order on a line, and the frames chosen along it."""
 
     def __init__(
-        self, surveys: Sequence[Survey], poses: Sequence[_Pose], place_of: Sequence[PlaceOf] | None
+        self,
+        surveys: Sequence[Survey],
+        poses: Sequence[_Pose],
+        known: Sequence[tuple[int, Glimpse]],
+        place_of: Sequence[PlaceOf] | None,
     ) -> None:
         self._poses = poses
         self._gain = _gains(surveys, poses)
@@ -111,13 +131,6 @@ class _Line:
         self._movement = find_movement(looks, counts)
         self._looks = looks[:, self._movement.moving]
         self._tiles = _tile_weights(self._movement, poses[0].cell.members[0])
-        shape = poses[0].cell.members[0].look.shape
-        known = [
-            (video, glimpse)
-            for video in sorted({pose.video for pose in poses})
-            for glimpse in surveys[video].known
-            if glimpse.look.shape == shape
-        ]
         if place_of is None:
             self._value = motion_coordinate(_swept(self._looks), self._movement.weight)
             nearest = [int(np.argmin(self._differences(video, glimpse))) for video, glimpse in known]

@@ -5,6 +5,7 @@ Which of them become pictures to label is decided in `selection.py`.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Collection
 from contextlib import closing
 from dataclasses import dataclass
@@ -25,6 +26,7 @@ Progress = Callable[[int, int | None], None]
 # step with a motion that repeats.
 _LOOKS = 10_000
 _FRAMES_AHEAD = 16
+DECODING_THREADS = min(4, os.cpu_count() or 1)
 # What all videos of a run may keep together, and each at least. A cell takes up to 60 kB.
 _CELLS, _LEAST_CELLS = 1200, 60
 _TIME_BIN_S = 0.05
@@ -92,7 +94,7 @@ def survey(
     VideoError
         The video cannot be read.
     """
-    source = Video(video)
+    source = Video(video, threads=DECODING_THREADS)
     step = max(1, (source.claimed_frames or 0) // _LOOKS)
     glimpser, rng = Glimpser(), np.random.default_rng(0)
     following = 0
