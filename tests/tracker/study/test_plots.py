@@ -318,6 +318,18 @@ def test_files_are_what_a_publisher_takes(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["one.pdf", "one.png", "two.pdf", "two.png"]
 
 
+def test_a_sheet_drawn_on_again_is_as_new(tmp_path):
+    gap = make_trial("the first", angle_deg=np.where(np.arange(300) % 50 < 9, np.nan, 80.0))
+    sides = {"largest_pressure_kpa": 50.0, "largest_angle_deg": 100.0}
+    used = trial_sheet(gap, RED, [ellipse() - 9] * 4, apart=[ellipse()], note="ratio", **sides)
+    save_figure(used, tmp_path / "first")
+    again = trial_sheet(make_trial("the second"), PURPLE, [ellipse(60)], paper=used, **sides)
+    save_figure(again, tmp_path / "again")
+    save_figure(trial_sheet(make_trial("the second"), PURPLE, [ellipse(60)], **sides), tmp_path / "new")
+    for suffix in (".pdf", ".png"):
+        assert (tmp_path / f"again{suffix}").read_bytes() == (tmp_path / f"new{suffix}").read_bytes()
+
+
 def test_a_column_is_88_mm_wide(tmp_path):
     save_figure(
         leaf_figure([ellipse()], RED, largest_pressure_kpa=50, largest_angle_deg=100), tmp_path / "leaf"

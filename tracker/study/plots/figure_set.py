@@ -8,6 +8,7 @@ import multiprocessing
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,7 +28,7 @@ from .page import save_figure
 from .ratio_angle import ratio_angle_figure
 from .static_curves import static_figure
 from .time_series import time_series_figure
-from .trial_sheet import trial_sheet
+from .trial_sheet import blank_sheet, trial_sheet
 
 if TYPE_CHECKING:
     from ..analysis import StudyResults
@@ -245,9 +246,16 @@ def write_sheet(trial: TrialData, look: Look, leaf: Leaf, stem: Path) -> bytes:
         largest_angle_deg=leaf.largest_angle_deg,
         apart=leaf.apart,
         note=leaf.note,
+        paper=_paper(len(leaf.loops) + len(leaf.apart) > 0),
     )
     # Half the size and 64 colours: a hundred of them go into one page.
     return _for_screen(save_figure(figure, stem).reduce(2), 64)
+
+
+@cache
+def _paper(with_leaf: bool) -> Figure:
+    """What this process draws its sheets on, one after the other."""
+    return blank_sheet(with_leaf)
 
 
 def leaves_of(results: StudyResults) -> dict[str, Leaf]:

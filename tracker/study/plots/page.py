@@ -48,6 +48,7 @@ _STYLE: dict[Any, Any] = {
     "axes.axisbelow": True,
     "axes.titlelocation": "left",
     "axes.titlepad": 4.0,
+    "axes.titley": 1.0,  # where it would be put anyway, without asking every tick for its size
     "axes.labelpad": 2.5,
     "xtick.color": QUIET,
     "ytick.color": QUIET,

@@ -16,15 +16,8 @@ from matplotlib import font_manager
 
 WHOLE_FAMILY = "DejaVu Sans"
 _FAMILY = "DejaVu Sans (figures)"
-# Latin with its accents, Greek, dashes and quotes, signs of mathematics. Others are taken from the whole font.
-_RANGES = (
-    (0x20, 0x17F),
-    (0x391, 0x3C9),
-    (0x2010, 0x203A),
-    (0x2070, 0x209C),
-    (0x2190, 0x2193),
-    (0x2212, 0x2265),
-)
+# Latin-1 (with ° ± ×), dashes, quotes, ellipsis, minus. Other signs are taken from the whole font.
+_RANGES = ((0x20, 0x7E), (0xA0, 0xFF), (0x2010, 0x201F), (0x2026, 0x2026), (0x2212, 0x2212))
 _FAMILY_IDS = (1, 16)  # of OpenType's name table
 
 
