@@ -29,6 +29,8 @@ _ONE_PLACE_PX = 1.0
 # A label is suspect when it lies so many standard deviations, and so many px, from where the others put it.
 _FAR_SD = 7.0
 _FAR_PX = 6.0
+# Points that spread so far about the curve, over the body's length, are of something that does not bend in one way.
+_LOOSE = 0.05
 # Another order of a frame's points is the right one when it lies so much nearer to the others.
 _NEARER = 3.0
 # Videos in which the first two points lie within this part of the body's length of each other are seen alike.
@@ -129,7 +131,12 @@ def check_labels(project: Project) -> CheckReport:
                 "not compared with each other"
             )
             continue
-        shape = fit_shape(np.stack([frame.xy for frame in group]))
+        points = np.stack([frame.xy for frame in group])
+        shape = fit_shape(points)
+        body_px = float(np.nanmedian(np.linalg.norm(np.diff(points, axis=1), axis=2).sum(axis=1)))
+        if np.median(shape.sd_px) > _LOOSE * body_px:
+            notes.append(f"{actuator}: the labels do not follow one motion: not compared with each other")
+            continue
         for frame in group:
             findings += _against(shape, frame, names)
     place = {frame.image_path: number for number, frame in enumerate(frames)}

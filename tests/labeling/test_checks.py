@@ -167,6 +167,16 @@ def test_few_labels_are_not_compared_and_it_is_said(tmp_path: Path) -> None:
     ]
 
 
+def test_what_moves_freely_is_not_compared(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    body = np.array([[-30.0, 0.0], [-10.0, 0.0], [10.0, 0.0], [30.0, 0.0]])
+    turns = rng.uniform(0, 2 * np.pi, 30)
+    rotated = [body @ [[np.cos(t), np.sin(t)], [-np.sin(t), np.cos(t)]] for t in turns]
+    report = check_labels(labelled(tmp_path, np.stack(rotated) + rng.uniform(60, 400, (30, 1, 2))))
+    assert report.findings == []
+    assert report.notes == ["default: the labels do not follow one motion: not compared with each other"]
+
+
 def test_a_project_without_labels_or_with_a_broken_picture_cannot_be_checked(tmp_path: Path) -> None:
     with pytest.raises(LabelError, match="expected labelled frames to check, got none"):
         check_labels(Project.create(tmp_path / "a", keypoints=KEYPOINTS))
