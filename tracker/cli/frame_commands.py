@@ -74,12 +74,12 @@ def frames(
     talk.say(f"Next: bendtrack label {project}")
 
 
-labels = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Look after labels.")
+labels = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Look for mistakes in labels.")
 
 
 @labels.callback()
 def _labels() -> None:
-    """Look after labels."""
+    """Look for mistakes in labels."""
 
 
 @labels.command("check")

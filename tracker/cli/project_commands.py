@@ -71,7 +71,10 @@ def import_labels(
         bool, typer.Option("--overwrite", help="Where both label a frame, the source counts.")
     ] = False,
 ) -> None:
-    """Take over the labels of DeepLabCut, COCO, SLEAP or Lightning Pose. A project that is not there is made."""
+    """Take over the labels of another program.
+
+    DeepLabCut, COCO, SLEAP or Lightning Pose. A project that is not there is made.
+    """
     from ...labeling.interop.formats import open_labels
     from ...labeling.interop.importing import import_source, project_of
     from ..errors import LabelError
@@ -107,7 +110,10 @@ def export_labels(
         typer.Option(help="A video to name in it (dlc, sleap). May be given more than once."),
     ] = None,
 ) -> None:
-    """Write the labels in the form of DeepLabCut, COCO, SLEAP or Lightning Pose."""
+    """Write the labels as another program's.
+
+    DeepLabCut, COCO, SLEAP or Lightning Pose.
+    """
     from ...labeling.interop import formats
     from ..project import Project
 
