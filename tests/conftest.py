@@ -7,6 +7,7 @@ import io
 import os
 import resource
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
@@ -22,6 +23,10 @@ from bendtrack.labeling.store import LabelStore, image_name
 from bendtrack.tracker.cli import app
 from bendtrack.tracker.project import Project
 from bendtrack.tracker.video_writer import VideoWriter
+
+# A run that was started in the background ignores Ctrl-C, and so would every program that the tests start and stop.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 COMMAND = Path(sys.executable).parent / "bendtrack"
 KEYPOINTS = ("base_1", "base_2", "tip_1", "tip_2")
