@@ -146,9 +146,8 @@ def working_regions(xy: FloatArray, sizes_wh: Sequence[tuple[int, int]]) -> tupl
     if counts[first.frame_wh] < LEAST_FRAMES:
         first = first.whole_frame()
     return tuple(
-        region if counts[size] >= LEAST_FRAMES else first.for_frame(size)
-        for size, _ in counts.most_common()
-        for region in [regions[size]]
+        regions[size] if count >= LEAST_FRAMES else first.for_frame(size)
+        for size, count in counts.most_common()
     )
 
 

@@ -12,7 +12,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from ..tracker.atomic import atomic_path
-from ..tracker.errors import CheckpointError
+from ..tracker.errors import CheckpointError, reason
 
 
 def write_tensors(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str, Any]) -> None:
@@ -28,5 +28,4 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str
         with atomic_path(path) as temporary:
             save_file(own, temporary, metadata={"bendtrack": json.dumps(header)})
     except (SafetensorError, OSError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise CheckpointError(f"{path}: cannot be written ({reason})") from error
+        raise CheckpointError(f"{path}: cannot be written ({reason(error)})") from error

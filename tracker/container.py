@@ -17,7 +17,7 @@ from av.container import InputContainer
 from av.sidedata.sidedata import Type as SideDataType
 from av.stream import Disposition
 
-from .errors import VideoError
+from .errors import VideoError, reason
 from .types import ImageArray
 
 # Pictures and text, which FFmpeg would open as a "video" of one frame.
@@ -169,8 +169,3 @@ def claimed_duration_s(container: InputContainer, stream: av.VideoStream) -> flo
     if container.duration is not None and len(container.streams) == 1:
         return float(container.duration / av.time_base)
     return None
-
-
-def reason(error: Exception) -> str:
-    """Why FFmpeg or the system refused, in a few words."""
-    return getattr(error, "strerror", None) or str(error) or type(error).__name__

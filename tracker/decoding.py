@@ -23,7 +23,7 @@ from typing import cast
 import av
 from av.container import InputContainer
 
-from .container import reason
+from .errors import reason
 
 # A decoder reorders at most 16 frames (H.264, HEVC): a packet so much older than a decoded one will not come.
 _MAX_REORDER = 16

@@ -53,3 +53,8 @@ class StudyError(BendtrackError):
 
 class BendtrackWarning(UserWarning):
     """Something was worked around; the results say where."""
+
+
+def reason(error: Exception) -> str:
+    """Why the system, or a library that it stands behind, refused: in a few words, to stand in brackets."""
+    return getattr(error, "strerror", None) or str(error) or type(error).__name__

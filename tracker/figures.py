@@ -12,7 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from .atomic import atomic_path
-from .errors import ResultsError
+from .errors import ResultsError, reason
 from .results import AngleTable
 from .types import Flag, FloatArray
 
@@ -77,7 +77,7 @@ def write_angle_figure(table: AngleTable, out_path: str | Path) -> None:
             warnings.filterwarnings("ignore", "Glyph .* missing from font", UserWarning)
             figure.savefig(temporary, format="png")
     except OSError as error:
-        raise ResultsError(f"{out_path}: cannot be written ({error.strerror or error})") from error
+        raise ResultsError(f"{out_path}: cannot be written ({reason(error)})") from error
 
 
 def _limit_angles(axes: Axes, table: AngleTable) -> None:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from .angle import AngleDefinition
 from .atomic import atomic_path, atomic_write_bytes, atomic_write_text
-from .errors import AngleError, ResultsError
+from .errors import AngleError, ResultsError, reason
 from .types import FloatArray
 from .video import file_sha256
 
@@ -135,8 +135,7 @@ def write_results(table: AngleTable, out_dir: str | Path, stem: str) -> tuple[Pa
         }
         atomic_write_text(json_path, json.dumps(record, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
     except OSError as error:
-        reason = error.strerror or str(error)
-        raise ResultsError(f"{folder / stem}.*: results cannot be written ({reason})") from error
+        raise ResultsError(f"{folder / stem}.*: results cannot be written ({reason(error)})") from error
     return csv_path, h5_path, json_path
 
 

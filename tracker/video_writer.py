@@ -11,8 +11,7 @@ import av
 import numpy as np
 
 from .atomic import atomic_path
-from .container import reason
-from .errors import VideoError
+from .errors import VideoError, reason
 from .types import ImageArray
 
 _TIME_BASE = Fraction(1, 90_000)  # divides 24, 25, 30, 50 and 60 frames/s

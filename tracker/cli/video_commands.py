@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..errors import BendtrackError, VideoError
+from ..errors import BendtrackError, VideoError, reason
 from . import model_folders, talk
 from .project_commands import ProjectArgument
 
@@ -160,8 +160,9 @@ def _track_one(job: _Job, video: Path, overlay: bool, force: bool) -> str | None
             raise VideoError(f"{video}: expected a video, got an empty file")
         sha256 = file_sha256(video)
     except OSError as error:
-        reason = error.strerror or str(error)
-        raise VideoError(f"{video}: expected a video, got a file that cannot be read ({reason})") from error
+        raise VideoError(
+            f"{video}: expected a video, got a file that cannot be read ({reason(error)})"
+        ) from error
     stem, note = choose_stem(job.folder, video, sha256)
     if note:
         talk.warn(note)
@@ -218,9 +219,8 @@ def _check_writable(folder: Path) -> None:
     try:
         probe.write_bytes(b"bendtrack")
     except OSError as error:
-        reason = error.strerror or str(error)
         raise BendtrackError(
-            f"--out: expected a folder that can be written, got {folder} ({reason})"
+            f"--out: expected a folder that can be written, got {folder} ({reason(error)})"
         ) from error
     finally:
         probe.unlink(missing_ok=True)

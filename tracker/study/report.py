@@ -22,7 +22,7 @@ import numpy as np
 import pandas as pd
 
 from ..atomic import atomic_write_text
-from ..errors import ResultsError
+from ..errors import ResultsError, reason
 from ..results import json_ready
 from .analysis import StudyResults
 from .findings import main_findings
@@ -92,7 +92,7 @@ def write_report(
         for folder in ("figures/trials", "tables"):
             (out / folder).mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ResultsError(f"{out}: cannot be written ({error.strerror or error})") from error
+        raise ResultsError(f"{out}: cannot be written ({reason(error)})") from error
     looks = looks_of((name, design.label, design.colour) for name, design in study.designs.items())
     labels = {name: design.label for name, design in study.designs.items()}
     with start_trial_sheets(results, trials, looks, out / "figures" / "trials", workers) as sheets:
@@ -119,7 +119,7 @@ def _write(path: Path, text: str) -> None:
     try:
         atomic_write_text(path, text)
     except OSError as error:
-        raise ResultsError(f"{path}: cannot be written ({error.strerror or error})") from error
+        raise ResultsError(f"{path}: cannot be written ({reason(error)})") from error
 
 
 def _page(

@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 
 from ..atomic import atomic_path
-from ..errors import ResultsError
+from ..errors import ResultsError, reason
 
 
 def write_csv_tables(tables: Mapping[str, pd.DataFrame], folder: str | Path) -> list[Path]:
@@ -27,7 +27,7 @@ def write_csv_tables(tables: Mapping[str, pd.DataFrame], folder: str | Path) -> 
             with atomic_path(path) as temporary:
                 table.map(_as_cell).to_csv(temporary, index=False, lineterminator="\n", encoding="utf-8")
         except OSError as error:
-            raise ResultsError(f"{path}: cannot be written ({error.strerror or error})") from error
+            raise ResultsError(f"{path}: cannot be written ({reason(error)})") from error
         paths.append(path)
     return paths
 

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from ...atomic import atomic_path
-from ...errors import ResultsError
+from ...errors import ResultsError, reason
 from ...types import FloatArray
 from .typeface import figure_families
 
@@ -127,7 +127,7 @@ def _written(path: Path) -> Iterator[Path]:
         with atomic_path(path) as temporary:
             yield temporary
     except OSError as error:
-        raise ResultsError(f"{path}: cannot be written ({error.strerror or error})") from error
+        raise ResultsError(f"{path}: cannot be written ({reason(error)})") from error
 
 
 def limit_from_zero(low: float, high: float, *, headroom: float = 0.06) -> tuple[float, float]:
