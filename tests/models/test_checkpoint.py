@@ -45,7 +45,9 @@ def test_comes_back_as_it_was(checkpoint: Checkpoint, tmp_path: Path) -> None:
     checkpoint.save(tmp_path / "model")
     again = load_checkpoint(tmp_path / "model")
     assert (
-        again.header() == checkpoint.header() == json.loads((tmp_path / "model/checkpoint.json").read_text())
+        again.to_dict()
+        == checkpoint.to_dict()
+        == json.loads((tmp_path / "model/checkpoint.json").read_text())
     )
     frames = np.random.default_rng(0).integers(0, 255, (2, 120, 160, 3), dtype=np.uint8)
     before, after = checkpoint.detect(frames), again.detect(frames)
