@@ -10,7 +10,7 @@ import os
 import stat
 import threading
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -73,7 +73,8 @@ class Annotations:
     Parameters
     ----------
     project : its settings are read again when bendtrack.toml has changed
-    lock : held while files are read, so that none is seen between two writes of one edit
+    lock : held while files are read, so that none is seen between two writes of one edit; who only looks
+        on can do without
 
     Raises
     ------
@@ -81,7 +82,9 @@ class Annotations:
         labeled-data/ is a link that leads out of the project.
     """
 
-    def __init__(self, project: Project, lock: Callable[[], AbstractContextManager[None]]) -> None:
+    def __init__(
+        self, project: Project, lock: Callable[[], AbstractContextManager[None]] = nullcontext
+    ) -> None:
         self._lock = lock
         self._root = Path(os.path.realpath(project.root))
         self._use(project)
@@ -127,8 +130,13 @@ class Annotations:
         LabelError
             A label file or the notes are malformed, or a link out of the project.
         """
-        if video not in self.videos():
-            return None
+        return self._folder(video) if video in self.videos() else None
+
+    def folders(self) -> list[VideoFolder]:
+        """All of them, by name. Errors as in `folder`."""
+        return [self._folder(video) for video in self.videos()]
+
+    def _folder(self, video: str) -> VideoFolder:
         stamps = self._stamps(self.store.labels_dir / video)
         with self._cache_lock:
             known = self._cache.get(video)
@@ -140,10 +148,6 @@ class Annotations:
         with self._cache_lock:
             self._cache[video] = (stamps, folder)
         return folder
-
-    def folders(self) -> list[VideoFolder]:
-        """All of them, by name."""
-        return [folder for folder in map(self.folder, self.videos()) if folder is not None]
 
     def write(self, video: str, image: str, before: FrameState, after: FrameState) -> None:
         """Put a frame from one state into another; what is equal in both is not touched.

@@ -18,6 +18,8 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 BODY_LIMIT = 64 * 1024
 _BODY_TIMEOUT_S = 20.0
+# A browser that was closed and opened again still is in.
+_COOKIE_AGE_S = 7 * 24 * 3600
 
 _CONTENT_POLICY = (
     "default-src 'self'; img-src 'self' blob: data:; object-src 'none'; base-uri 'none'; form-action 'none'; "
@@ -116,7 +118,9 @@ class Door:
         answer = {"location": "/", "cache-control": "no-store"}
         if known is not None:
             self._tokens.discard(known)
-            answer["set-cookie"] = f"{self._cookie}={self._secret}; HttpOnly; SameSite=Strict; Path=/"
+            answer["set-cookie"] = (
+                f"{self._cookie}={self._secret}; HttpOnly; SameSite=Strict; Path=/; Max-Age={_COOKIE_AGE_S}"
+            )
         await _answer(send, 303, answer)
 
     def _has_cookie(self, headers: Mapping[str, list[str]]) -> bool:

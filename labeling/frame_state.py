@@ -10,6 +10,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import cached_property
 from typing import Any
 
 from .label_table import Point
@@ -43,7 +44,7 @@ class FrameState:
     flagged: bool = False
     skipped: bool = False
 
-    @property
+    @cached_property
     def revision(self) -> int:
         """An integer below 2^52, which JavaScript holds exactly, made from the contents.
 

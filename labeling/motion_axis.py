@@ -12,55 +12,70 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree, shortest_path
 
 from ..tracker.types import FloatArray
+from .pose_cells import rms_distances
 
 # Neighbours of a look in the graph of looks: enough to bridge noise, few enough to follow a curved motion.
-_NEIGHBOURS = 6
+_NEIGHBOURS = (2, 6)
+_LOOKS_A_NEIGHBOUR = 40
 # A camera that was moved, or another camera: nothing between two sets of looks, each with its share of frames.
 _VIEW_SHARE = 0.05
 _VIEW_JUMP = 0.8
-_MOVES = 4.0  # a pixel moves when it spreads so many times wider than the still ones
+_VIEW_LOOKS = 12
+# A standard deviation of looks that rounding alone gives.
+_ROUNDING = 0.3
+# A pixel moves when it spreads so many times wider than noise spreads.
+_MOVES = 4.0
+# From the 5th to the 95th percentile a Gaussian spreads over so many standard deviations.
+_WIDTH = 3.3
+# Looks closer than this many times the noise crowd: they are one pose many times.
+_CROWD = 2.5
 
 
 @dataclass(frozen=True)
 class Movement:
-    """What moves in a set of looks, and how much looks differ where nothing does.
+    """What moves in a set of looks, and what each look weighs in it.
 
     Attributes
     ----------
-    moving : (P,) bool; all pixels where nothing moves
     noise : root mean square difference of two looks of one pose, grey levels
+    weight : (n,) of each look, adding up to 1
+    moving : (P,) bool, the pixels that move; all where nothing does
+    moves : whether anything does
     """
 
-    moving: np.ndarray
     noise: float
+    weight: FloatArray
+    moving: np.ndarray
+    moves: bool
 
 
 def find_movement(looks: FloatArray, counts: FloatArray) -> Movement:
-    """Tell pixels that move from those that only are noisy.
+    """Tell pixels that move from those that only are noisy, and poses from mere repetitions.
 
-    A hand that passes once moves pixels in few frames: the spread that counts is from the 5th to the 95th
-    percentile, a look weighing the root of its frames, so that hours of rest do not outweigh the motion.
+    A pose weighs as much as the root of its frames, however many cells they lie in: hours of rest do not outweigh
+    the motion, nor does a hand that passes once. For the same reason a pixel's spread counts from its 5th to its
+    95th percentile.
 
     Parameters
     ----------
     looks : (n, P) grey levels
     counts : (n,) frames that look like each
     """
-    weight = np.sqrt(counts)
+    deviation = looks.std(axis=0)
+    still = deviation[deviation <= np.quantile(deviation, 0.25)]
+    noise = max(float(np.sqrt(np.mean(still.astype(np.float64) ** 2))), _ROUNDING)
+    crowd = (rms_distances(looks) <= _CROWD * np.sqrt(2) * noise) @ counts
+    weight = counts / np.sqrt(crowd)
+    weight /= weight.sum()
     order = np.argsort(looks, axis=0)
-    share = np.cumsum(weight[order], axis=0) / weight.sum()
+    below = np.cumsum(weight[order], axis=0)
     low, high = (
-        np.take_along_axis(
-            looks, np.take_along_axis(order, (share < level).sum(axis=0)[None], axis=0), axis=0
-        )[0]
-        for level in (0.05, 0.95)
+        np.take_along_axis(looks, np.take_along_axis(order, (below < part).sum(axis=0)[None], axis=0), axis=0)
+        for part in (0.05, 0.95)
     )
-    spread = high - low
-    still = spread <= np.quantile(spread, 0.25)
-    # From 5 % to 95 % a Gaussian spreads over 3.3 standard deviations.
-    noise = max(float(np.sqrt(np.mean((spread[still] / 3.3) ** 2))), 0.05)
-    moving = spread > _MOVES * 3.3 * noise
-    return Movement(moving if moving.any() else np.ones_like(moving), np.sqrt(2) * noise)
+    moving = (high - low)[0] > _MOVES * _WIDTH * noise
+    moves = bool(moving.any())
+    return Movement(np.sqrt(2) * noise, weight, moving if moves else np.ones_like(moving), moves)
 
 
 def views(distances: FloatArray, counts: FloatArray) -> np.ndarray:
@@ -85,14 +100,14 @@ def _split(distances: FloatArray, shares: FloatArray, members: np.ndarray, view:
         if min(shares[members[side]].sum(), shares[members[~side]].sum()) < _VIEW_SHARE:
             continue
         sizes = [within[np.ix_(part, part)].max() for part in (side, ~side)]
-        if tree.data[cut] > _VIEW_JUMP * max(sizes) and min(side.sum(), (~side).sum()) > 2 * _NEIGHBOURS:
+        if tree.data[cut] > _VIEW_JUMP * max(sizes) and min(side.sum(), (~side).sum()) >= _VIEW_LOOKS:
             view[members[~side]] = view.max() + 1
             _split(distances, shares, members[side], view)
             _split(distances, shares, members[~side], view)
         return
 
 
-def motion_coordinate(distances: FloatArray, counts: FloatArray) -> FloatArray:
+def motion_coordinate(distances: FloatArray, weight: FloatArray) -> FloatArray:
     """Where each look lies along the main motion, (n,) in grey levels; which end is which is left open.
 
     The length of the way from look to look in small steps (Isomap: Tenenbaum, de Silva and Langford 2000), of which
@@ -101,17 +116,17 @@ def motion_coordinate(distances: FloatArray, counts: FloatArray) -> FloatArray:
     Parameters
     ----------
     distances : (n, n) between looks, see `rms_distances`
-    counts : (n,) frames that look like each; a look weighs the root of them
+    weight : (n,) of each look, adding up to 1
     """
     n = len(distances)
     if n < 3:
         return np.arange(n, dtype=np.float64) * (distances[0, -1] if n else 0.0)
     graph = minimum_spanning_tree(csr_matrix(distances + 1e-6)).tolil()
-    near = np.argpartition(distances, min(_NEIGHBOURS, n - 1), axis=1)[:, : _NEIGHBOURS + 1]
+    neighbours = min(int(np.clip(n // _LOOKS_A_NEIGHBOUR, *_NEIGHBOURS)), n - 1)
+    near = np.argpartition(distances, neighbours, axis=1)[:, : neighbours + 1]
     rows = np.repeat(np.arange(n), near.shape[1])
     graph[rows, near.ravel()] = distances[rows, near.ravel()] + 1e-6
     ways = shortest_path(graph.tocsr(), directed=False)
-    weight = np.sqrt(counts) / np.sqrt(counts).sum()
     square = ways**2
     # Weighted classical scaling: the double-centred squares, of which the largest eigenvector.
     across = square @ weight

@@ -19,6 +19,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from ..tracker.errors import LabelError
 from ..tracker.types import Detector
 from .annotations import Picture
 from .frame_state import FrameState
@@ -171,7 +172,7 @@ class Predictions:
     def _look_at(self, picture: Picture, detector: Detector) -> None:
         try:
             image = cv2.cvtColor(decoded_picture(picture), cv2.COLOR_BGR2RGB)
-        except (OSError, ValueError):
+        except (OSError, LabelError):
             self._unreadable.add(_key(picture))
             return
         detections = detector.detect(np.asarray(image, np.uint8)[None])

@@ -60,6 +60,8 @@ class PrivateFolder:
             self._depth += 1
             descriptor = None
             try:
+                if self._depth == 1:
+                    self.path.mkdir(mode=0o700, exist_ok=True)  # if it was deleted meanwhile
                 if self._depth == 1 and fcntl is not None:
                     descriptor = os.open(self.path / "lock", os.O_RDWR | os.O_CREAT, 0o600)
                     with suppress(OSError):  # a file system without locks

@@ -20,8 +20,12 @@ from .motion_axis import Movement, find_movement, motion_coordinate, views
 from .pose_cells import Cell, rms_distances
 from .survey import Survey
 
-# How far from its place a frame may lie, in spacings of the places: room to find a sharp one.
-_SLACK = 0.2
+# How far from its place a frame may lie, in spacings of the places: room to find one that is not blurred.
+_SLACK = 0.45
+# A frame is blurred when it has less than this part of the detail that the sharpest like it has.
+_SHARP = 0.85
+# Looks about a place differ from the most typical one by less than this many times the median.
+_ALIKE = 2.0
 # Two pictures that differ by no more than this many times the noise are one to a labeller.
 _SAME = 1.5
 # A place whose frames are all unfit goes to the widest gap that is then left.
@@ -114,7 +118,7 @@ class _Line:
             if glimpse.look.shape == shape
         ]
         if place_of is None:
-            self._value = motion_coordinate(rms_distances(self._looks), counts)
+            self._value = motion_coordinate(rms_distances(self._looks), self._movement.weight)
             nearest = [int(np.argmin(self._differences(video, glimpse))) for video, glimpse in known]
             self._taken = [float(self._value[place]) for place in nearest]
         else:
@@ -136,27 +140,32 @@ class _Line:
                     chosen.append((pose.video, glimpse))
                     self._taken.append(float(self._value[place]))
                     self._seen.append(self._look(pose.video, glimpse))
-                    self._turns.update([pose.video, (pose.video, pose.cell.branch)])
+                    self._turns.update([pose.video, self._kind(place)])
         return chosen
 
     def _fit(self, target: Target) -> tuple[int, Glimpse] | None:
-        """The best frame for a place, with its pose: a sharp one nearby, else the next that is no picture twice."""
+        """The best frame for a place, with its pose: a sharp one nearby that is no picture twice."""
         away = np.abs(self._value - target.value)
-        order = np.argsort(away, kind="stable")
-        near = order[away[order] <= max(_SLACK * target.room, away[order[0]])]
+        near = np.flatnonzero(away <= max(_SLACK * target.room, away.min()))
         turn = min(
-            ((pose.video, pose.cell.branch) for pose in (self._poses[i] for i in near)),
-            key=lambda kind: (self._turns[kind[0]], self._turns[kind]),
+            (self._kind(place) for place in near), key=lambda kind: (self._turns[kind[0]], self._turns[kind])
         )
-        near = np.array([i for i in near if (self._poses[i].video, self._poses[i].cell.branch) == turn])
+        near = near[[self._kind(place) == turn for place in near]]
+        # A hand in the picture is no rival in sharpness: only what looks like most about here counts.
         between = rms_distances(self._looks[near])
-        typical = int(np.argmin(between @ _counts([self._poses[i] for i in near])))
-        alike = near[between[typical] <= max(2 * np.median(between[typical]), self._movement.noise)]
+        typical = int(np.argmin(between @ self._movement.weight[near]))
+        alike = near[between[typical] <= max(_ALIKE * np.median(between[typical]), self._movement.noise)]
         members = [(place, glimpse) for place in alike for glimpse in self._poses[place].cell.members]
-        members.sort(key=lambda member: -self._sharpness(member[1]))
-        rest = order[away[order] <= target.room / 2]
-        members += [(place, glimpse) for place in rest for glimpse in self._poses[place].cell.members]
-        return next((found for found in members if self._is_new(*found)), None)
+        sharpness = np.array([self._sharpness(glimpse) for _, glimpse in members])
+        is_sharp = sharpness >= _SHARP * sharpness.max()
+        # The nearest of the sharp ones, then the sharpest of the others.
+        distance = np.array([away[place] for place, _ in members])
+        order = np.lexsort((np.where(is_sharp, distance, -sharpness), ~is_sharp))
+        return next((members[i] for i in order if self._is_new(*members[i])), None)
+
+    def _kind(self, place: int) -> tuple[int, int]:
+        """What takes turns: a pose's video and branch."""
+        return self._poses[place].video, self._poses[place].cell.branch
 
     def _is_new(self, place: int, glimpse: Glimpse) -> bool:
         look = self._look(self._poses[place].video, glimpse)

@@ -76,6 +76,8 @@ class LabellingServer:
         self._repeat_share = repeat_share
         self._server_id = secrets.token_hex(8)
         self._page = Path(str(files("bendtrack.labeling"))) / "page"
+        # A filmstrip asks for dozens of thumbnails at once; a click in between must not wait for a core.
+        self._one_at_a_time = asyncio.Semaphore(1)
         self.watch = Watch(annotations, stopping)
         self.predictions: Predictions | None = None
 
@@ -272,7 +274,8 @@ class LabellingServer:
 
     async def _thumb(self, request: Request) -> Response:
         _, picture = await run_in_threadpool(self._picture, *_named(request))
-        data = await run_in_threadpool(thumbnail, picture)
+        async with self._one_at_a_time:
+            data = await run_in_threadpool(thumbnail, picture)
         return Response(data, media_type="image/jpeg", headers={"cache-control": _FOR_GOOD})
 
     async def _summary(self, request: Request) -> Response:

@@ -33,7 +33,7 @@ class Watch:
         self._annotations = annotations
         self._stopping = stopping
         self._pages: set[asyncio.Queue[Mapping[str, Any]]] = set()
-        self._seen: dict[str, int] = {}
+        self._seen: dict[str, int] | None = None  # not looked yet; no frames at all is {}
         self._told: dict[str, int] = {}
         self._loop: asyncio.AbstractEventLoop | None = None
 
@@ -51,7 +51,7 @@ class Watch:
     def changed(self, frame: str, revision: int, client_id: str, edit_id: str) -> None:
         """Tell that this server has changed a frame."""
         self._told[frame] = revision
-        if frame in self._seen:
+        if self._seen is not None and frame in self._seen:
             self._seen[frame] = revision
         self.tell(
             {"type": "changed", "id": frame, "revision": revision, "client_id": client_id, "edit_id": edit_id}
@@ -63,7 +63,7 @@ class Watch:
         while True:
             await asyncio.sleep(_LOOK_EVERY_S)
             if not self._pages:
-                self._seen = {}
+                self._seen = None
                 continue
             with suppress(
                 LabelError, OSError
@@ -97,10 +97,11 @@ class Watch:
         }
 
     def _compare(self, now: dict[str, int]) -> None:
-        if self._seen and now.keys() != self._seen.keys():
+        seen = now if self._seen is None else self._seen
+        if now.keys() != seen.keys():
             self.tell({"type": "frames"})
         for frame, revision in now.items():
-            if self._seen.get(frame, revision) != revision:
+            if seen.get(frame, revision) != revision:
                 self.tell(
                     {"type": "changed", "id": frame, "revision": revision, "client_id": None, "edit_id": None}
                 )

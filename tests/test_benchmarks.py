@@ -16,6 +16,7 @@ SMALL = {
         ["--looks", "1", "--steps", "3", "--labels", "6", "--seconds", "1.5", "--init", "random"],
         "angle RMSE over label-noise floor",
     ),
+    "label_server.py": (["--clicks", "4", "--large", "1"], "a click, saved"),
     "speed.py": (["--seconds", "1.5", "--rounds", "1", "--steps", "2"], "decode to table / decoding"),
 }
 

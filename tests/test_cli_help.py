@@ -9,14 +9,17 @@ import pytest
 
 from bendtrack.tracker.cli import app
 
-COMMANDS = ("demo", "new", "import", "export", "train", "evaluate", "track", "render", "doctor")
+COMMANDS = (
+    *("demo", "new", "frames", "label", "import", "export", "train", "evaluate", "track"),
+    *("analyze", "render", "doctor"),
+)
 
 
 def test_these_are_the_commands(bendtrack) -> None:
     ran = bendtrack("--help")
     assert ran.status == 0
     listed = ran.out.split("Commands:")[1].split("\n\n")[0]
-    assert tuple(line.split()[0] for line in listed.strip().splitlines()) == COMMANDS
+    assert tuple(line.split()[0] for line in listed.strip().splitlines()) == (*COMMANDS, "labels")
     assert "..." not in listed  # no sentence is cut off
     assert {command.name for command in app.registered_commands} == set(COMMANDS)
 
@@ -44,11 +47,11 @@ def test_version_as_installed(bendtrack) -> None:
     ("args", "message"),
     [
         ((), "Usage: bendtrack"),
-        (("label",), "No such command 'label'"),
+        (("measure",), "No such command 'measure'"),
         (("train",), "Missing argument 'PROJECT'"),
         (("track", "somewhere"), "Missing argument"),
         (("train", "somewhere", "--max-minutes", "soon"), "Invalid value for '--max-minutes'"),
-        (("export", "somewhere", "out", "--format", "sleap"), "Invalid value for '--format'"),
+        (("export", "somewhere", "out", "--format", "yolo"), "Invalid value for '--format'"),
         (("train", "somewhere", "--fast"), "No such option"),
     ],
 )

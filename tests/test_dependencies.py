@@ -13,6 +13,7 @@ ROOT = Path(__file__).parents[1]
 INSTALLED_AS = {
     "PIL": "pillow",
     "cv2": "opencv-python-headless",
+    "fontTools": "fonttools",
     "yaml": "pyyaml",
     "pydantic_core": "pydantic",
     "sleap_io": "sleap-io",

@@ -1,4 +1,4 @@
-"""The instrument: video, geometry, angle, tracking, results, drawing, synthetic renderer. Never loads torch.
+"""The instrument: video, geometry, angle, tracking, results, drawing, the study, synthetic renderer. Never loads torch.
 
 The names in `__all__` are what other programs may build on. Each is loaded when it is first asked for, so that
 importing the package costs nothing.
@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from .overlay import write_overlay
     from .project import Project
     from .results import AngleTable, read_results, write_results
+    from .study.analysis import StudyResults, analyse_study
+    from .study.report import write_report
+    from .study.study_file import read_study
+    from .study.trial_data import load_trials
     from .tracking import track
     from .types import Detections, Detector, LabelledFrame
     from .video import Video
@@ -28,11 +32,16 @@ _HOMES = {
     "Detector": "types",
     "LabelledFrame": "types",
     "Project": "project",
+    "StudyResults": "study.analysis",
     "Video": "video",
+    "analyse_study": "study.analysis",
     "bending_angle": "angle",
+    "load_trials": "study.trial_data",
     "read_results": "results",
+    "read_study": "study.study_file",
     "track": "tracking",
     "write_overlay": "overlay",
+    "write_report": "study.report",
     "write_results": "results",
 }
 
@@ -43,11 +52,16 @@ __all__ = [
     "Detector",
     "LabelledFrame",
     "Project",
+    "StudyResults",
     "Video",
+    "analyse_study",
     "bending_angle",
+    "load_trials",
     "read_results",
+    "read_study",
     "track",
     "write_overlay",
+    "write_report",
     "write_results",
 ]
 

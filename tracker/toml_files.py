@@ -47,7 +47,8 @@ def toml_text(path: Path, error: type[BendtrackError]) -> str:
 
 def mistake_in_words(error: ValidationError, model: type[BaseModel]) -> str:
     """The first mistake in a file of this model, with its key, what was expected and what came; how many more."""
-    mistakes = error.errors()
+    # A key that is not known first: it may be what another, missing, was meant to be.
+    mistakes = sorted(error.errors(), key=lambda mistake: mistake["type"] != "extra_forbidden")
     more = f" (and {len(mistakes) - 1} more)" if len(mistakes) > 1 else ""
     return f"{_in_words(mistakes[0], model)}{more}"
 

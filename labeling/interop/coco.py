@@ -205,7 +205,7 @@ def _cells(values: Any, names: Sequence[str]) -> tuple[dict[tuple[str, str], str
     cells, n_hidden = {}, 0
     for name, x, y, v in zip(names, values[0::3], values[1::3], values[2::3], strict=True):
         if v not in (0, 1, 2):
-            raise LabelError(f"expected 0, 1 or 2 as '{name}' visibility, got {v}")
+            raise LabelError(f"expected 0, 1 or 2 as the visibility of '{name}', got {v}")
         if v:
             cells[name, "x"], cells[name, "y"] = _number(x), _number(y)
             n_hidden += v == 1

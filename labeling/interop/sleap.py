@@ -15,7 +15,7 @@ Actuators. In what we write, an instance's track is the actuator; in others' fil
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from types import ModuleType
 from typing import Any
@@ -83,7 +83,9 @@ def open_sleap(path: str | Path, images: str | Path | None = None) -> Source:
     videos = []
     for video, name in zip(labels.videos, names, strict=True):
         frames, indices = by_video[id(video)], suggested[id(video)]
-        if frames or indices:
+        if video.is_cropped:
+            skipped.append(f"{name}: expected whole frames, got a cropped video")
+        elif frames or indices:
             videos.append(_video(video, name, frames, indices, finder, ours, skipped))
     if not any(row.cells for video in videos for row in video.rows):
         raise LabelError(f"{path}: expected frames that a person labelled, got none")
@@ -125,15 +127,18 @@ def _video(
     pictures: dict[str, ReadPicture] = {}
     file = None
     where = finder.where
-    if video.backend_metadata.get("has_embedded_images"):
+    if video.backend_metadata.get("dataset"):
         images = {index: _as_png(images, index) for index in indices}
-        video.open()
-        held = {int(index) for index in video.backend.source_inds}
-        pictures = {images[index]: _embedded(video, index) for index in indices if index in held}
+        held = _held(video)
+        pictures = {images[index]: _stored(video, index) for index in indices if index in held}
         where = str(video.filename)
     elif isinstance(video.filename, list):
         for index in indices:
-            found = finder.find(video.filename[index]) if index < len(video.filename) else None
+            try:
+                found = finder.find(video.filename[index]) if index < len(video.filename) else None
+            except LabelError as error:
+                skipped.append(f"{name}/{images[index]}: {error}")
+                continue
             if found is not None:
                 pictures[images[index]] = found.read_bytes
     else:
@@ -170,7 +175,18 @@ def _as_png(images: Mapping[int, str], index: int) -> str:
     return f"{name.stem}.png" if len(alike) == 1 else f"{name.stem}_{name.suffix[1:]}.png"
 
 
-def _embedded(video: Any, index: int) -> ReadPicture:
+def _held(video: Any) -> Container[int]:
+    """Indices of the frames whose pictures the .slp carries, or those of a whole video kept as HDF5."""
+    try:
+        video.open()
+    except (OSError, ValueError):
+        return ()
+    if not video.backend.has_embedded_images:
+        return range(len(video))
+    return {int(index) for index in video.backend.frame_map}
+
+
+def _stored(video: Any, index: int) -> ReadPicture:
     def read() -> bytes:
         image = video[index]
         code = cv2.COLOR_GRAY2BGR if image.shape[-1] == 1 else cv2.COLOR_RGB2BGR
@@ -236,21 +252,24 @@ def export_sleap(project: Project, out: str | Path, *, videos: Sequence[str | Pa
         list(project.keypoints), edges=skeleton_edges(project), name=project.root.resolve().name
     )
     tracks = {video.actuator: sleap_io.Track(video.actuator) for video in labelled}
-    foreign, frames, suggestions = [], [], []
+    foreign: list[Any] = []
+    frames, suggestions = [], []
     for video in labelled:
-        if by_reference:
-            theirs = sleap_io.Video.from_filename(str(files[video.video].resolve()))
-        else:
-            theirs = sleap_io.Video.from_filename([str(p.resolve()) for p in video.pictures], grayscale=False)
-        foreign.append(theirs)
-        for number, picture in enumerate(video.pictures):
-            index = frame_index(picture.name) if by_reference else number
-            xy = video.xy.get(picture.name)
-            if xy is None:
-                suggestions.append(sleap_io.SuggestionFrame(theirs, index))
-                continue
-            instance = sleap_io.Instance.from_numpy(xy, skeleton=skeleton, track=tracks[video.actuator])
-            frames.append(sleap_io.LabeledFrame(video=theirs, frame_idx=index, instances=[instance]))
+        # One for each kind of picture: where they are mixed, sleap-io 0.9.5 stores some with red for blue.
+        for pictures in [video.pictures] if by_reference else _by_suffix(video.pictures):
+            if by_reference:
+                theirs = sleap_io.Video.from_filename(str(files[video.video].resolve()))
+            else:
+                theirs = sleap_io.Video.from_filename([str(p.resolve()) for p in pictures], grayscale=False)
+            foreign.append(theirs)
+            for number, picture in enumerate(pictures):
+                index = frame_index(picture.name) if by_reference else number
+                xy = video.xy.get(picture.name)
+                if xy is None:
+                    suggestions.append(sleap_io.SuggestionFrame(theirs, index))
+                    continue
+                instance = sleap_io.Instance.from_numpy(xy, skeleton=skeleton, track=tracks[video.actuator])
+                frames.append(sleap_io.LabeledFrame(video=theirs, frame_idx=index, instances=[instance]))
     labels = sleap_io.Labels(
         labeled_frames=frames,
         videos=foreign,
@@ -264,6 +283,13 @@ def export_sleap(project: Project, out: str | Path, *, videos: Sequence[str | Pa
         embed = False if by_reference else "user+suggestions"
         sleap_io.save_slp(labels, str(temporary), embed=embed, verbose=False)
     return report
+
+
+def _by_suffix(pictures: Sequence[Path]) -> list[list[Path]]:
+    kinds: dict[str, list[Path]] = defaultdict(list)
+    for picture in pictures:
+        kinds[picture.suffix.lower()].append(picture)
+    return list(kinds.values())
 
 
 def _all_have_videos(

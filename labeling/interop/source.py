@@ -143,7 +143,7 @@ class PictureFinder:
             return Path(text)
         fits = [(_common_tail(path, wanted), path) for path in self._below().get(wanted.name.casefold(), [])]
         best = max((n_parts for n_parts, _ in fits), default=0)
-        found = [path for n_parts, path in fits if n_parts == best]
+        found = sorted(path for n_parts, path in fits if n_parts == best)
         if len(found) > 1:
             raise LabelError(f"expected one picture of that name, got {found[0]} and {found[1]}")
         return found[0] if found else None

@@ -1,6 +1,6 @@
 // Talking to the server (see API.md). What to do about an answer is decided by who asked.
 
-const TIMEOUT_MS = 8000;
+const TIMEOUT_MS = 15000;
 
 /** No answer: the server is down, or busy beyond patience. */
 export class Unreachable extends Error {}
@@ -40,7 +40,7 @@ async function request(address, options) {
     const text = await response.text();
     if (text) body = JSON.parse(text);
   } catch (error) {
-    throw new Unreachable(String(error));
+    throw new Unreachable(error.name === "TimeoutError" ? "no answer in time" : "no connection");
   }
   if (!response.ok) throw new Refused(response.status, body);
   return body;

@@ -5,6 +5,8 @@ import { byId, element } from "./elements.js";
 import { drawPlainMarks } from "./marks.js";
 
 const PREVIEW_WH = [300, 210];
+const LEAST_SHOWN_PX = 48;
+const AROUND_PX = 24;
 
 /** Resolves "mine" or "theirs". mine: the unsent edit's body; theirs: a frame object. */
 export function chooseVersion({ row, mine, theirs, keypoints, bitmap }) {
@@ -14,13 +16,13 @@ export function chooseVersion({ row, mine, theirs, keypoints, bitmap }) {
       dialog.close();
       resolve(choice);
     };
-    const region = regionOf([mine.points, theirs.points], bitmap);
+    const region = regionOf(mine.points, theirs.points, bitmap);
     const version = (title, frame, words, choice) =>
       element(
         "section",
         { class: "version" },
         element("h3", {}, title),
-        preview(frame.points, keypoints, bitmap, region),
+        preview(frame.points, frame === mine ? theirs.points : mine.points, keypoints, bitmap, region),
         element("p", { class: "fine" }, facts(frame)),
         element("button", { type: "button", class: "wide", id: `choose-${choice}`, onclick: () => choose(choice) }, words),
       );
@@ -69,18 +71,22 @@ function differences(mine, theirs, keypoints) {
   return words;
 }
 
-/** The part of the picture that holds all points of both versions, with the preview's proportions. */
-function regionOf(versions, bitmap) {
-  const all = versions.flatMap((points) => Object.values(points).filter(Boolean));
-  if (!all.length || !bitmap) return { x: 0, y: 0, scale: bitmap ? PREVIEW_WH[0] / bitmap.width : 1 };
-  const [xs, ys] = [all.map(([x]) => x), all.map(([, y]) => y)];
-  const centre = [(Math.min(...xs) + Math.max(...xs)) / 2, (Math.min(...ys) + Math.max(...ys)) / 2];
-  const width = Math.max(Math.max(...xs) - Math.min(...xs) + 60, ((Math.max(...ys) - Math.min(...ys) + 60) * PREVIEW_WH[0]) / PREVIEW_WH[1], 120);
-  const scale = PREVIEW_WH[0] / width;
-  return { x: centre[0] - PREVIEW_WH[0] / 2 / scale, y: centre[1] - PREVIEW_WH[1] / 2 / scale, scale };
+/** The part of the picture in which the versions differ, with the preview's proportions. */
+function regionOf(mine, theirs, bitmap) {
+  const both = (name) => [mine[name], theirs[name]].filter(Boolean);
+  const differing = Object.keys(theirs).filter((name) => String(mine[name]) !== String(theirs[name]));
+  const points = (differing.length ? differing : Object.keys(theirs)).flatMap(both);
+  const [width, height] = PREVIEW_WH;
+  if (!points.length || !bitmap) return { x: 0, y: 0, scale: bitmap ? width / bitmap.width : 1 };
+  const [xs, ys] = [points.map(([x]) => x), points.map(([, y]) => y)];
+  const [left, right, top, bottom] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
+  const shown = Math.max(right - left + 2 * AROUND_PX, ((bottom - top + 2 * AROUND_PX) * width) / height, LEAST_SHOWN_PX);
+  const scale = width / shown;
+  return { x: (left + right) / 2 - width / 2 / scale, y: (top + bottom) / 2 - height / 2 / scale, scale };
 }
 
-function preview(points, keypoints, bitmap, { x, y, scale }) {
+/** One version's points, and small dots where the other has them. */
+function preview(points, others, keypoints, bitmap, { x, y, scale }) {
   const ratio = devicePixelRatio || 1;
   const canvas = element("canvas", { class: "preview", width: PREVIEW_WH[0] * ratio, height: PREVIEW_WH[1] * ratio });
   const context = canvas.getContext("2d");
@@ -88,6 +94,13 @@ function preview(points, keypoints, bitmap, { x, y, scale }) {
   if (bitmap) {
     context.drawImage(bitmap, (-0.5 - x) * scale, (-0.5 - y) * scale, bitmap.width * scale, bitmap.height * scale);
   }
-  drawPlainMarks(context, { keypoints, points }, (xy) => [(xy[0] - x) * scale, (xy[1] - y) * scale]);
+  const toPreview = (xy) => [(xy[0] - x) * scale, (xy[1] - y) * scale];
+  context.fillStyle = "#fff";
+  for (const xy of Object.values(others).filter(Boolean)) {
+    context.beginPath();
+    context.arc(...toPreview(xy), 2.5, 0, 2 * Math.PI);
+    context.fill();
+  }
+  drawPlainMarks(context, { keypoints, points }, toPreview);
   return canvas;
 }

@@ -46,6 +46,8 @@ export class Desk {
       if (attempt !== this.#attempt) return;
       this.#stage.show(bitmap);
       this.#open.open(frame, this.#project.keypoints, this.#queue.latest(id)?.body);
+      byId("stage").dataset.frame = id;
+      byId("stage").setAttribute("aria-label", `Picture of frame ${row.frame ?? row.image}`);
       history.replaceState(null, "", `#${encodeURIComponent(id)}`);
       document.title = `${row.frame ?? row.image} · ${this.#project.name} · bendtrack`;
       performance.measure("frame opened", { start: asked });

@@ -187,7 +187,7 @@ export class Filmstrip {
     bar.setAttribute("aria-valuemax", total);
     bar.setAttribute("aria-valuenow", labelled);
     byId("progress-fill").style.width = `${total ? (100 * labelled) / total : 0}%`;
-    byId("progress-words").textContent = `${labelled} of ${total}`;
+    byId("progress-words").textContent = `${labelled} of ${total} labelled`;
   }
 }
 

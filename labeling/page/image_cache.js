@@ -2,6 +2,8 @@
 
 const BUDGET_BYTES = 400e6; // a dozen 4K frames
 const LEAST_KEPT = 3;
+// Labels belong to the pixels, whatever orientation or colour profile the file claims.
+const AS_STORED = { imageOrientation: "none", colorSpaceConversion: "none", premultiplyAlpha: "none" };
 
 export class ImageCache {
   #entries = new Map(); // address -> {promise, bytes, bitmap}, the least recently used first
@@ -58,10 +60,12 @@ export class ImageCache {
 async function decoded(address) {
   const response = await fetch(address);
   if (!response.ok) throw new Error(`the picture is not there (${response.status})`);
-  // As stored: labels belong to the pixels, whatever orientation or colour profile the file claims.
-  return createImageBitmap(await response.blob(), {
-    imageOrientation: "none",
-    colorSpaceConversion: "none",
-    premultiplyAlpha: "none",
-  });
+  const blob = await response.blob();
+  try {
+    return await createImageBitmap(blob, AS_STORED);
+  } catch (error) {
+    // A browser that does not know one of the options.
+    if (error instanceof TypeError) return createImageBitmap(blob);
+    throw error;
+  }
 }

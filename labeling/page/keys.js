@@ -3,9 +3,10 @@
 
 import { byId, element } from "./elements.js";
 
+const MOD = /Mac/.test(navigator.platform) ? "⌘" : "Ctrl";
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
-/** [group, [[keys, words, action name, argument]]]; `keys` as `pressed` spells them, the first two are shown. */
+/** [group, [[keys, words, action name, argument]]]; `keys` as `pressed` spells them. */
 const TABLE = [
   [
     "Points",
@@ -22,8 +23,8 @@ const TABLE = [
       [["backspace", "delete"], "take the point away", "remove"],
       [["c"], "copy the previous frame's points (Shift: over placed ones too)", "copyPrevious"],
       [["g"], "accept all ghosts (Shift: over placed ones too)", "acceptGhosts"],
-      [["z", "mod+z"], "undo", "undo"],
-      [["shift+z", "mod+shift+z"], "do again", "redo"],
+      [["z"], `undo (${MOD}+Z too)`, "undo"],
+      [["shift+z"], "do it again", "redo"],
     ],
   ],
   [
@@ -61,6 +62,8 @@ const MORE = {
   s: ["select", 1],
   "shift+c": ["copyPrevious", true],
   "shift+g": ["acceptGhosts", true],
+  "mod+z": ["undo"],
+  "mod+shift+z": ["redo"],
   "mod+y": ["redo"],
   "+": ["zoom", 1.5],
   "=": ["zoom", 1.5],
@@ -158,7 +161,6 @@ function keyGroup(name, lines) {
 }
 
 const SHOWN = {
-  mod: /Mac/.test(navigator.platform) ? "⌘" : "Ctrl",
   shift: "Shift", alt: "Alt", arrows: "←↑↓→", enter: "⏎", backspace: "⌫", delete: "Del", esc: "Esc",
   pagedown: "PgDn", pageup: "PgUp", space: "Space", click: "click", drag: "drag", wheel: "wheel",
 };

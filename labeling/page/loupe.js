@@ -3,7 +3,7 @@
 
 import { drawPlainMarks } from "./marks.js";
 
-const SIZE_PX = 168;
+const SIZE_PX = 169; // odd: the cross lies on pixels of the screen
 const BESIDE_PX = 28;
 const TIMES = 4; // larger than on the screen
 const LEAST_SCALE = 8;

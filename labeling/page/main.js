@@ -1,7 +1,7 @@
 // The page from the start: fetches the project, makes the parts and connects them.
 
 import { makeActions } from "./actions.js";
-import { Refused, get, send } from "./api.js";
+import { Refused, Unreachable, get, send } from "./api.js";
 import { chooseVersion } from "./conflict_dialog.js";
 import { connectControls } from "./controls.js";
 import { Desk } from "./desk.js";
@@ -32,11 +32,19 @@ import { View } from "./view.js";
 const LIST_AGAIN_MS = 1500;
 
 startTheme(byId("theme"));
-start().catch((error) => {
-  const noSession = error instanceof Refused && [401, 403].includes(error.status);
-  if (noSession) showEmpty("This page has no session", "Open the address that this command prints:", "bendtrack label PROJECT");
-  else showEmpty("The server does not answer", "Start it, then load this page again:", "bendtrack label PROJECT");
-  if (!noSession) console.error(error);
+start().catch(async (error) => {
+  if (error instanceof Refused && [401, 403].includes(error.status)) {
+    showEmpty("This page has no session", "Open the address that this command prints:", "bendtrack label PROJECT");
+    return;
+  }
+  if (!(error instanceof Refused || error instanceof Unreachable)) throw error;
+  showEmpty("The server does not answer", `${error.message}. The page goes on when this command runs:`, "bendtrack label PROJECT");
+  let answer = null;
+  while (!answer) {
+    await new Promise((resolve) => setTimeout(resolve, LIST_AGAIN_MS));
+    answer = await get("/api/frames").catch(() => null);
+  }
+  location.reload();
 });
 
 async function start() {
@@ -84,8 +92,12 @@ async function start() {
     reload().catch(() => {});
   }
 
-  const refreshMarks = () => {
+  const followPointer = () => {
     stage.redraw("marks");
+    showPosition(view, options.keyboardCursor ?? pointer.over);
+  };
+  const refreshMarks = () => {
+    followPointer();
     showAngle(project, open);
     showHint(project, open, Boolean(options.keyboardCursor));
     showFrameState(open);
@@ -94,10 +106,6 @@ async function start() {
   for (const name of ["open", "points", "selection"]) open.addEventListener(name, refreshMarks);
   open.addEventListener("open", () => (options.keyboardCursor = null));
   options.addEventListener("change", () => stage.redraw("marks"));
-  const followPointer = () => {
-    stage.redraw("marks");
-    showPosition(view, options.keyboardCursor ?? pointer.over);
-  };
   view.addEventListener("change", followPointer);
   pointer.addEventListener("change", () => {
     followPointer();
@@ -172,13 +180,16 @@ async function start() {
   inherit(identity, (edits) => queue.adopt(edits));
   await openFirst();
 
+  /** The frame of the address, or the next to do; nothing where that one is open already. */
   async function openFirst() {
     const frames = await reload();
     if (!list.rows.length) {
+      open.close();
       showEmpty("No frames to label yet", "Choose some from your videos; they appear here by themselves:", "bendtrack frames PROJECT VIDEO…");
       return;
     }
     hideEmpty();
+    if (list.get(open.frame?.id)) return;
     const wanted = decodeURIComponent(location.hash.slice(1));
     await desk.go(list.get(wanted) ? wanted : (frames.next ?? list.rows[0].id));
     if (document.activeElement === document.body) byId("stage").focus({ preventScroll: true });
@@ -190,9 +201,8 @@ async function start() {
       setBannerUnlessRepeating(null);
       queue.setConnected(true);
       if (serverSeen) {
-        await reload().catch(() => {});
+        await openFirst().catch(() => {});
         if (open.frame) desk.refresh(open.frame.id);
-        else if (list.rows.length) openFirst();
       }
       serverSeen = true;
     },
@@ -208,11 +218,7 @@ async function start() {
       if (list.get(id)) desk.refresh(id);
       else reloadSoon();
     },
-    async frames() {
-      const none = !list.rows.length;
-      if (none) await openFirst();
-      else await reload();
-    },
+    frames: () => openFirst().catch(() => {}),
     predicted({ id }) {
       if (id === open.frame?.id) desk.refreshGhosts();
       reloadSoon();

@@ -215,8 +215,8 @@ function dot(context, at, colour) {
 
 function letters(context, words, [x, y], colour) {
   context.lineJoin = "round";
-  context.lineWidth = 3.5;
-  context.strokeStyle = "rgba(16,18,24,0.85)";
+  context.lineWidth = 3;
+  context.strokeStyle = "rgba(16,18,24,0.75)";
   context.strokeText(words, x, y);
   context.fillStyle = colour;
   context.fillText(words, x, y);

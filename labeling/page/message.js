@@ -12,7 +12,7 @@ export function say(words, lastsMs = 4000) {
   timer = setTimeout(() => (node.hidden = true), lastsMs);
 }
 
-/** A line across the page, with buttons [{words, run, main}]; null takes it away. */
+/** A line across the page, with buttons [{words, key, run, main}]; null takes it away. */
 export function setBanner(words, buttons = [], kind = "note") {
   const node = byId("banner");
   node.hidden = !words;
@@ -20,8 +20,8 @@ export function setBanner(words, buttons = [], kind = "note") {
   if (!words) return node.replaceChildren();
   return node.replaceChildren(
     element("span", {}, words),
-    ...buttons.map(({ words: label, run, main }) =>
-      element("button", { type: "button", class: main ? "main" : "", onclick: run }, label),
+    ...buttons.map(({ words: label, key, run, main }) =>
+      element("button", { type: "button", class: main ? "main" : "", onclick: run }, label, element("kbd", {}, key)),
     ),
   );
 }

@@ -40,6 +40,8 @@ export class OpenFrame extends EventTarget {
 
   close() {
     this.frame = null;
+    this.points = {};
+    this.notVisible.clear();
     this.locked = true;
     this.#tell("open");
   }
@@ -47,7 +49,10 @@ export class OpenFrame extends EventTarget {
   /** The server's word on this frame; edits that are still on their way stay on top. */
   adopt(frame, unsent = null) {
     if (!this.frame || frame.id !== this.frame.id || this.isRepeat) return;
+    const before = this.points;
     this.#take({ ...this.frame, ...frame }, unsent);
+    // What was undone is what one wants to place again.
+    this.selected = this.keypoints.find((name) => before[name] && this.isMissing(name)) ?? this.selected;
     this.#tell("points");
   }
 

@@ -18,6 +18,7 @@ export function showAngle(project, open) {
   byId("angle-name").textContent = open.isRepeat ? "Blind repeat" : "Bending angle";
   const angle = open.isRepeat ? null : bendingAngleDeg(open.points, definition);
   byId("angle").textContent = angle === null ? "–" : formatAngle(angle, 2);
+  byId("angle").classList.toggle("unknown", angle === null);
   const ends = open.isRepeat ? [null, null] : endVectorsPx(open.points, definition);
   const words = ends.map((length) => (length === null ? "–" : length.toFixed(1)));
   byId("ends").textContent = open.isRepeat ? "earlier labels are hidden" : `${definition.name} · ends ${words[0]} and ${words[1]} px`;

@@ -46,8 +46,8 @@ export class RepeatRound {
     setBanner(
       "Blind repeat: label this frame as if for the first time. Your earlier points are hidden.",
       [
-        { words: "Save and next  ⏎", run: () => this.submit(), main: true },
-        { words: "Leave  Esc", run: () => this.leave() },
+        { words: "Save and next", key: "⏎", run: () => this.submit(), main: true },
+        { words: "Leave", key: "Esc", run: () => this.leave() },
       ],
       "repeat",
     );

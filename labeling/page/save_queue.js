@@ -181,7 +181,9 @@ export class SaveQueue extends EventTarget {
       return true;
     }
     if (error instanceof Refused && !RETRIED_STATUS.has(error.status) && error.status < 500) {
-      this.#edits = this.#edits.filter((other) => other.id !== edit.id);
+      this.#edits = this.#edits.filter((other) => other !== edit);
+      const following = this.#edits.find((other) => other.id === edit.id);
+      if (following) following.base_revision ??= edit.base_revision;
       this.#store();
       this.#tell("refused", { edit, error });
       return true;

@@ -1,5 +1,7 @@
 // What the server says unasked (server-sent events), and whether the connection stands.
 
+const AGAIN_MS = 700;
+
 /** listener: {connected(serverId), lost(), changed(event), frames(), predicted(event), model(event)}. */
 export function listen(listener) {
   let source = null;
@@ -14,9 +16,14 @@ export function listen(listener) {
       listener.lost();
       // A refused connection is retried by the browser, but not after an answer that it takes for final.
       source.close();
-      setTimeout(open, 700);
+      setTimeout(() => document.hidden || open(), AGAIN_MS);
     };
   };
   open();
+  // A browser has few connections for one server: tabs that nobody sees leave theirs to the others.
+  document.addEventListener("visibilitychange", () => {
+    source.close();
+    if (!document.hidden) open();
+  });
   addEventListener("pagehide", () => source.close());
 }

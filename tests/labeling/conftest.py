@@ -110,6 +110,11 @@ def study(tmp_path: Path) -> Study:
     return Study.create(tmp_path / "study")
 
 
+@pytest.fixture(scope="module")
+def make_study(tmp_path_factory: pytest.TempPathFactory) -> Callable[[], Study]:
+    return lambda: Study.create(tmp_path_factory.mktemp("module") / "study")
+
+
 @dataclass(frozen=True)
 class Answer:
     """What came back."""
@@ -237,9 +242,8 @@ def free_port() -> int:
 Serve = Callable[[Study], Served]
 
 
-@pytest.fixture
-def serve() -> Iterator[Serve]:
-    """Start a server on a project; all are stopped in the end."""
+def _serving() -> Iterator[Serve]:
+    """Start a server on a study; all are stopped in the end."""
     started: list[Served] = []
 
     def start(study: Study) -> Served:
@@ -251,6 +255,10 @@ def serve() -> Iterator[Serve]:
     yield start
     for served in started:
         served.stop()
+
+
+serve = pytest.fixture(_serving)
+serve_for_module = pytest.fixture(scope="module")(_serving)
 
 
 @pytest.fixture

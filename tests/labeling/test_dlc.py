@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import shutil
 from pathlib import Path
@@ -418,17 +417,6 @@ def test_h5_labels_say_what_the_csv_says(source: Path, project: Project, tmp_pat
     again = Project.create(tmp_path / "again", keypoints=FOUR)
     import_dlc(tmp_path / "out", again)
     assert same(labels(project), labels(again))
-
-
-@pytest.mark.skipif(importlib.util.find_spec("tables") is not None, reason="PyTables is installed")
-def test_h5_labels_without_pytables_say_what_to_do(source: Path, project: Project) -> None:
-    folder = source / "labeled-data" / "v"
-    (folder / "CollectedData_Ana.csv").rename(folder / "CollectedData_Ana.h5")
-    with pytest.raises(LabelError, match=r"install bendtrack\[dlc-h5\]"):
-        import_dlc(source, project)
-    shutil.move(folder / "CollectedData_Ana.h5", folder / "CollectedData_Ana.csv")
-    import_dlc(source, project)
-    assert "PyTables is not installed" in export_dlc(project, project.root.parent / "out").warnings[0]
 
 
 # --- a real project --------------------------------------------------------------------------------------

@@ -330,6 +330,10 @@ def test_labels_that_cannot_be_read_are_said_and_not_overwritten(study, page) ->
 
 
 def test_the_summary_says_what_the_labels_are_worth(study, page) -> None:
+    nothing = page.get("/api/summary")
+    assert nothing["spread"] is None
+    assert nothing["actuators"][0]["n_labelled"] == 0
+    assert nothing["actuators"][0]["floor_deg"] is None
     # Ends of 20 px; angles of 0, 30 and 90 degrees.
     for index, angle_deg in enumerate((0, 30, 90)):
         turn = np.radians(angle_deg)
@@ -386,7 +390,12 @@ def test_the_command_serves_and_comes_back_where_it_was(study, bendtrack) -> Non
         assert again.split("?")[0] == address.split("?")[0]
         assert again != address
         assert get(frames, cookie).status == 200  # the page goes on with what it has
+        listening = http.client.HTTPConnection(address.split("/")[2], timeout=20)
+        listening.request("GET", "/api/events", headers={"Cookie": cookie})
+        events = listening.getresponse()
         process.send_signal(signal.SIGINT)
+        assert b"hello" in events.read()  # a page that listens is let go
+        listening.close()
         out, err = process.communicate(timeout=20)
         assert (process.returncode, err) == (0, "")
         assert "all labels are saved" in out

@@ -10,10 +10,11 @@ from collections.abc import Callable
 from .app import app
 from .demo_command import demo
 from .doctor_command import doctor
-from .frame_commands import frames
+from .frame_commands import frames, labels
 from .label_command import label
 from .network_commands import evaluate, train
 from .project_commands import export_labels, import_labels, new
+from .study_commands import analyze
 from .video_commands import render, track
 
 __all__ = ["main"]
@@ -22,17 +23,19 @@ _COMMANDS: dict[str, Callable[..., None]] = {  # in the order of --help
     "demo": demo,
     "new": new,
     "frames": frames,
+    "label": label,
     "import": import_labels,
     "export": export_labels,
-    "label": label,
     "train": train,
     "evaluate": evaluate,
     "track": track,
+    "analyze": analyze,
     "render": render,
     "doctor": doctor,
 }
 for _name, _command in _COMMANDS.items():
     app.command(_name)(_command)
+app.add_typer(labels, name="labels")
 
 
 def main() -> None:

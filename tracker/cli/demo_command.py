@@ -74,9 +74,10 @@ def demo(
         f"network  {network} (its errors: errors.png, worst-frames.png)"
     )
     talk.say(
-        "\nYour own videos: label about thirty frames with DeepLabCut's labelling (bendtrack's own page is to come),"
-        "\nthen\n"
-        "    bendtrack import my-study LABELS\n"
+        "\nYour own videos:\n"
+        "    bendtrack new my-study\n"
+        "    bendtrack frames my-study VIDEO...\n"
+        "    bendtrack label my-study\n"
         "    bendtrack train my-study\n"
         "    bendtrack track my-study VIDEO... --overlay"
     )

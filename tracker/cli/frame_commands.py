@@ -71,3 +71,33 @@ def frames(
     if report.failed:
         raise typer.Exit(1 if report.saved else 2)
     talk.say(f"Next: bendtrack label {project}")
+
+
+labels = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Look after labels.")
+
+
+@labels.callback()
+def _labels() -> None:
+    """Look after labels."""
+
+
+@labels.command("check")
+def check(project: ProjectArgument) -> None:
+    """Look for mistakes in the labels.
+
+    Missing points, points outside or at one place, swapped ends, jumps in length, points far from where the other
+    labels put them, a picture labelled twice. Each comes with what opens it on the label page (#VIDEO/IMAGE). Exit
+    status 1 when there is something to look at.
+    """
+    from ...labeling.checks import check_labels
+    from ..project import Project
+
+    report = check_labels(Project.open(project))
+    for note in report.notes:
+        talk.warn(note)
+    for finding in report.findings:
+        talk.show(f"{finding.image_path}: {finding.problem}: {finding.message}  {finding.link}")
+    count = len(report.findings)
+    talk.say(f"{report.labelled} labelled frames: {f'{count} to look at' if count else 'nothing to look at'}")
+    if count:
+        raise typer.Exit(1)

@@ -36,9 +36,10 @@ def label(
         ),
     ] = None,
 ) -> None:
-    """Label frames on a page in the browser, served on this machine only.
+    """Label frames on a page in the browser.
 
-    Every edit is saved at once. Several pages, and several servers, can be open on one project.
+    The page is served on this machine only, and needs no network. Every edit is saved at once; several pages,
+    and several servers, can be open on one project.
     """
     from ...labeling.serving import serve_labelling
     from ..project import Project

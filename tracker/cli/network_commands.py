@@ -102,7 +102,10 @@ def evaluate(
                 " label more, train with --held-out 0.1, or use --folds 5"
             )
         talk.say(f"'{folder.name}' on {len(frames)} frames that it was not trained on")
-        show_evaluation(judge(folder, checkpoint, frames))
+        spread = _labeller_spread(opened)
+        evaluation = judge(folder, checkpoint, frames, **spread)
+        show_evaluation(evaluation)
+        _show_labeller_spread(evaluation, **spread)
         return
     if model is not None:
         raise BendtrackError("expected --model or --folds, got both: --folds trains networks of its own")
@@ -114,9 +117,19 @@ def evaluate(
         evaluation = cross_validate(
             frames, opened.keypoints, _definition(opened, frames), settings, folds, progress=progress
         )
-    _write(evaluation, folder, [], judged_on="cross-validation", folds=folds, settings=settings.to_dict())
+    spread = _labeller_spread(opened)
+    _write(
+        evaluation,
+        folder,
+        [],
+        judged_on="cross-validation",
+        folds=folds,
+        settings=settings.to_dict(),
+        **spread,
+    )
     talk.say(f"{folds} networks, each judged on the frames that it was not trained on")
     show_evaluation(evaluation)
+    _show_labeller_spread(evaluation, **spread)
     talk.say(f"Figures: {folder}")
 
 
@@ -191,14 +204,21 @@ def train_network(
     return evaluation
 
 
-def judge(folder: Path, checkpoint: Checkpoint, frames: list[LabelledFrame]) -> Evaluation:
-    """Evaluate a network on frames, and write evaluation.json and the figures into its folder."""
+def judge(folder: Path, checkpoint: Checkpoint, frames: list[LabelledFrame], **more: Any) -> Evaluation:
+    """Evaluate a network on frames, and write evaluation.json (with `more` in it) and the figures into its folder."""
     from ...models.evaluation import evaluate
     from . import progress_bars
 
     with progress_bars.counting("evaluating") as progress:
         evaluation = evaluate(checkpoint, frames, progress=progress)
-    _write(evaluation, folder, _training_rows(folder), judged_on="frames not trained on", model=folder.name)
+    _write(
+        evaluation,
+        folder,
+        _training_rows(folder),
+        judged_on="frames not trained on",
+        model=folder.name,
+        **more,
+    )
     return evaluation
 
 
@@ -237,6 +257,32 @@ def show_evaluation(evaluation: Evaluation) -> None:
             "Advice: L is short. Label points that lie farther apart on each end, or bring the camera nearer:"
             " twice the length halves the error of the angle."
         )
+
+
+def _labeller_spread(project: Project) -> dict[str, Any]:
+    """What evaluation.json says of the labeller's own spread; nothing where no frame was labelled twice."""
+    from ...labeling.annotations import Annotations
+    from ...labeling.repeats import project_spread
+
+    spread = project_spread(Annotations(project))
+    return {} if spread is None else {"labeller_spread": spread.to_json()}
+
+
+def _show_labeller_spread(evaluation: Evaluation, labeller_spread: dict[str, Any] | None = None) -> None:
+    """Print it beside the network's error, in the same measure."""
+    if labeller_spread is None:
+        return
+    found, summary = labeller_spread, evaluation.summary()
+    own = [f"{found['px']:.2f} px [{found['px_low']:.2f}, {found['px_high']:.2f}]"]
+    network = [f"{summary['error_px']['rms'] / 2**0.5:.2f} px"]  # a distance has two coordinates
+    if found["deg"] is not None and summary["angle_error_deg"]["rms"] is not None:
+        own.append(f"{found['deg']:.2f}° [{found['deg_low']:.2f}, {found['deg_high']:.2f}]")
+        network.append(f"{summary['angle_error_deg']['rms']:.2f}°")
+    talk.show(
+        f"The labeller's own spread, from {found['n_points']} points in {found['n_frames']} frames that were"
+        f" labelled twice: {', '.join(own)} a coordinate and angle; the network's error in the same measure (RMS):"
+        f" {', '.join(network)}. No network can be seen to be better than the labels that it is judged by."
+    )
 
 
 _SHORT_END_PX = 40

@@ -11,7 +11,7 @@ import typer
 from . import talk
 
 if TYPE_CHECKING:
-    from ...labeling.interop.dlc import ImportReport
+    from ...labeling.interop.importing import ImportReport
 
 ProjectArgument = Annotated[Path, typer.Argument(help="The project's folder.", metavar="PROJECT")]
 
@@ -19,9 +19,12 @@ _KEYPOINTS = "base_1,base_2,tip_1,tip_2"
 
 
 class LabelFormat(StrEnum):
-    """Foreign forms of labels that can be written."""
+    """Foreign forms of labels; those of `bendtrack.labeling.interop.formats`."""
 
     DLC = "dlc"
+    COCO = "coco"
+    SLEAP = "sleap"
+    LIGHTNING_POSE = "lightning-pose"
 
 
 def new(
@@ -40,7 +43,7 @@ def new(
     made = Project.create(project, keypoints=names, angle=angle)
     talk.say(
         f"{made.root}: a new project of {', '.join(made.keypoints)} ({made.settings.angle.definition}).\n"
-        f"Labels of DeepLabCut come in with `bendtrack import {made.root} SOURCE`."
+        f"Labels of DeepLabCut, COCO, SLEAP and Lightning Pose come in with `bendtrack import {made.root} SOURCE`."
     )
 
 
@@ -48,8 +51,16 @@ def import_labels(
     project: ProjectArgument,
     source: Annotated[
         Path,
-        typer.Argument(help="A DeepLabCut project, a folder with labeled-data/, or a label file (CSV)."),
+        typer.Argument(
+            help="A DeepLabCut or Lightning Pose project, a folder with labeled-data/, a label file (CSV, .h5), "
+            "COCO keypoints (json), or SLEAP labels (.slp)."
+        ),
     ],
+    format: Annotated[LabelFormat | None, typer.Option(help="Whose form.", show_default="recognised")] = None,
+    images: Annotated[
+        Path | None,
+        typer.Option(help="Where the pictures are that the labels name.", show_default="beside the labels"),
+    ] = None,
     video: Annotated[
         list[Path] | None,
         typer.Option(
@@ -60,12 +71,13 @@ def import_labels(
         bool, typer.Option("--overwrite", help="Where both label a frame, the source counts.")
     ] = False,
 ) -> None:
-    """Take over the labels of a DeepLabCut project or folder. A project that is not there is made."""
-    from ...labeling.interop.dlc import import_dlc, project_for
+    """Take over the labels of DeepLabCut, COCO, SLEAP or Lightning Pose. A project that is not there is made."""
+    from ...labeling.interop.formats import open_labels
+    from ...labeling.interop.importing import import_source, project_of
     from ..errors import LabelError
 
-    opened = project_for(project, source)
-    report = import_dlc(source, opened, videos=video or (), overwrite=overwrite)
+    found = open_labels(source, format, images)
+    report = import_source(found, project_of(project, found), videos=video or (), overwrite=overwrite)
     print_report(report)
     if not report.labelled and not report.unchanged:
         raise LabelError(f"{source}: expected labelled frames, got none that could be taken over")
@@ -85,17 +97,21 @@ def print_report(report: ImportReport) -> None:
 
 def export_labels(
     project: ProjectArgument,
-    out: Annotated[Path, typer.Argument(help="A folder that is new or empty.")],
-    format: Annotated[LabelFormat, typer.Option(help="Whose form.")] = LabelFormat.DLC,
+    out: Annotated[Path, typer.Argument(help="A folder that is new or empty; for SLEAP a new .slp file.")],
+    format: Annotated[
+        LabelFormat | None,
+        typer.Option(help="Whose form.", show_default="dlc; sleap where OUT ends in .slp"),
+    ] = None,
     video: Annotated[
-        list[Path] | None, typer.Option(help="A video to name in it. May be given more than once.")
+        list[Path] | None,
+        typer.Option(help="A video to name in it (dlc, sleap). May be given more than once."),
     ] = None,
 ) -> None:
-    """Write the labels as a DeepLabCut project."""
-    from ...labeling.interop.dlc_export import export_dlc
+    """Write the labels in the form of DeepLabCut, COCO, SLEAP or Lightning Pose."""
+    from ...labeling.interop import formats
     from ..project import Project
 
-    report = export_dlc(Project.open(project), out, videos=video or ())
+    report = formats.export_labels(Project.open(project), out, format, videos=video or ())
     for warning in report.warnings:
         talk.warn(warning)
-    talk.say(f"{out}: {report.labelled} labelled frames and {report.images} pictures in DeepLabCut's layout")
+    talk.say(f"{out}: {report.labelled} labelled frames and {report.images} pictures")

@@ -9,7 +9,7 @@ import csv
 import io
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -66,7 +66,7 @@ def csv_columns(path: Path) -> tuple[list[LogColumn], list[str]]:
         column, warning = _column(name, unit, cells[position], layout)
         if warning:
             warnings.append(warning)
-        columns.append(column)
+        columns.append(replace(column, number=position + 1))
     return [c for c in columns if c.name or np.isfinite(c.values).any()], warnings
 
 
@@ -146,7 +146,7 @@ def _header(lines: Sequence[str], layout: _Layout, path: Path) -> tuple[list[str
         while len(row) > layout.n_fields and not row[-1]:
             row.pop()
     names = rows[-1]
-    if len(names) == layout.n_fields - 1:
+    if len(names) == layout.n_fields - 1 and not _fields(lines[layout.first], layout.delimiter)[-1]:
         names = [*names, ""]
     if len(names) != layout.n_fields:
         if len(rows[-1]) == 1:  # a remark, not a header

@@ -9,9 +9,11 @@ from __future__ import annotations
 import difflib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from ..errors import PressureLogError
 from ..types import FloatArray
+from .log_format import LogFormat
 from .units import KPA_IN, PRESSURE_UNITS, SECONDS_IN, TIME_WORDS, words_of
 
 _PRESSURE_WORDS = {"pressure", "pressures", "press", "pres", "p", "druck", "pression", "presion", "pressione"}
@@ -33,6 +35,7 @@ class LogColumn:
     values : (M,) NaN where a cell is empty or no number
     is_clock : the values are seconds since 1970 (or since midnight), read from written dates or times of day
     time : the clock that belongs to this column alone, where the file says so (MATLAB structures)
+    number : its place in the file, from 1
     """
 
     name: str
@@ -40,6 +43,58 @@ class LogColumn:
     values: FloatArray
     is_clock: bool = False
     time: LogColumn | None = None
+    number: int = 0
+
+
+class ChosenColumns(NamedTuple):
+    """What the columns of a log are; None where there is none."""
+
+    pressure: LogColumn
+    time: LogColumn | None
+    reference: LogColumn | None
+    sync: LogColumn | None
+
+
+def choose_columns(columns: Sequence[LogColumn], asked: LogFormat, where: str) -> ChosenColumns:
+    """Pressure, time, reference and sync: those that the user names first, then what units and names say.
+
+    `where` opens messages.
+
+    Raises
+    ------
+    PressureLogError
+        A named column is not there, several could be meant, there is no pressure, or lengths do not fit.
+    """
+    named = {
+        key: named_column(columns, wanted, key, where)
+        for key in ("time_column", "pressure_column", "reference_column", "sync_column")
+        if (wanted := getattr(asked, key)) is not None
+    }
+    left = [c for c in columns if c not in named.values()]
+    pressure, time = named.get("pressure_column"), named.get("time_column")
+    if time is None and not any(c.time for c in columns):
+        time = time_column(left, where)
+    left = [c for c in left if c is not time]
+    if pressure is None:
+        alike = [c for c in left if time is None or len(c.values) == len(time.values)]
+        pressure = pressure_column(alike or left, where)
+    if time is not None and len(time.values) != len(pressure.values):
+        raise PressureLogError(
+            f"{where}: expected as many times as pressures, got {len(time.values)} in '{time.name}' "
+            f"and {len(pressure.values)} in '{pressure.name}'"
+        )
+    alike = [c for c in left if c is not pressure and len(c.values) == len(pressure.values)]
+    if time is None:
+        time = pressure.time or time_column(alike, where)
+    elsewhere = [c for c in left if c is not pressure and c not in alike and c.time is not None]
+    reference = named.get("reference_column") or reference_column([*alike, *elsewhere], where)
+    sync = named.get("sync_column") or sync_column([c for c in alike if c is not reference], where)
+    if sync is not None and len(sync.values) != len(pressure.values):
+        raise PressureLogError(
+            f"{where}: expected a sync channel of {len(pressure.values)} samples as the pressure has, "
+            f"got {len(sync.values)} in '{sync.name}'"
+        )
+    return ChosenColumns(pressure, time, reference, sync)
 
 
 def named_column(columns: Sequence[LogColumn], wanted: str | int, key: str, where: str) -> LogColumn:
@@ -68,13 +123,13 @@ def named_column(columns: Sequence[LogColumn], wanted: str | int, key: str, wher
             return found[0]
         if found:
             raise PressureLogError(
-                f"{where}: {key}: expected one column called '{wanted}', got {_listed(columns, found)}; "
-                f"give its number: {key} = {columns.index(found[0]) + 1}"
+                f"{where}: {key}: expected one column called '{wanted}', got {_listed(found)}; "
+                f"give its number: {key} = {found[0].number}"
             )
     close = difflib.get_close_matches(wanted, [c.name for c in columns], n=1)
     hint = f" (did you mean '{close[0]}'?)" if close else ""
     raise PressureLogError(
-        f"{where}: {key}: expected one of the columns {_listed(columns, columns)}, got '{wanted}'{hint}"
+        f"{where}: {key}: expected one of the columns {_listed(columns)}, got '{wanted}'{hint}"
     )
 
 
@@ -92,44 +147,41 @@ def time_column(columns: Sequence[LogColumn], where: str) -> LogColumn | None:
         [c for c in columns if _is_time(c)],
     ):
         if found:
-            return _only(found, columns, "time", where)
+            return _only(found, "time", where)
     return None
 
 
-def pressure_column(columns: Sequence[LogColumn], taken: Sequence[LogColumn], where: str) -> LogColumn:
-    """The only column that is a pressure by name or unit, or that is left when the others are known.
+def pressure_column(columns: Sequence[LogColumn], where: str) -> LogColumn:
+    """The only column that is a pressure by name or unit, or the only one that is not a time.
 
     Raises
     ------
     PressureLogError
         Several could be, or none.
     """
-    left = [c for c in columns if c not in taken and not _is_time(c)]
-    named = [c for c in left if _is_pressure(c) and not words_of(c.name) & (_REFERENCE_WORDS | _SYNC_WORDS)]
+    left = [c for c in columns if not _is_time(c)]
+    named = [c for c in left if is_pressure(c) and not words_of(c.name) & (_REFERENCE_WORDS | _SYNC_WORDS)]
     if named:
-        return _only(named, columns, "pressure", where)
+        return _only(named, "pressure", where)
     if len(left) == 1:
         return left[0]
     raise PressureLogError(
-        f"{where}: expected a column of pressure, found none by name among {_listed(columns, columns)}; "
-        "give pressure_column"
+        f"{where}: expected a column of pressure, found none by name among {_listed(columns)}; give pressure_column"
     )
 
 
-def reference_column(
-    columns: Sequence[LogColumn], taken: Sequence[LogColumn], where: str
-) -> LogColumn | None:
+def reference_column(columns: Sequence[LogColumn], where: str) -> LogColumn | None:
     """The only column that is the pressure asked for, by its name; None where there is none."""
-    left = [c for c in columns if c not in taken and not _is_time(c)]
+    left = [c for c in columns if not _is_time(c)]
     found = [c for c in left if words_of(c.name) & (_REFERENCE_WORDS - {"d"})]
-    found = found or [c for c in left if _is_pressure(c) and "d" in words_of(c.name)]
-    return _only(found, columns, "reference", where) if found else None
+    found = found or [c for c in left if is_pressure(c) and "d" in words_of(c.name)]
+    return _only(found, "reference", where) if found else None
 
 
-def sync_column(columns: Sequence[LogColumn], taken: Sequence[LogColumn], where: str) -> LogColumn | None:
+def sync_column(columns: Sequence[LogColumn], where: str) -> LogColumn | None:
     """The only column that is a sync channel by its name; None where there is none."""
-    found = [c for c in columns if c not in taken and not _is_time(c) and words_of(c.name) & _SYNC_WORDS]
-    return _only(found, columns, "sync", where) if found else None
+    found = [c for c in columns if not _is_time(c) and words_of(c.name) & _SYNC_WORDS]
+    return _only(found, "sync", where) if found else None
 
 
 def _is_time(column: LogColumn) -> bool:
@@ -137,19 +189,20 @@ def _is_time(column: LogColumn) -> bool:
     return column.is_clock or column.unit in SECONDS_IN or named
 
 
-def _is_pressure(column: LogColumn) -> bool:
+def is_pressure(column: LogColumn) -> bool:
+    """Whether a column's unit or name says that it is a pressure, measured or asked for."""
     return column.unit in KPA_IN or bool(words_of(column.name) & _PRESSURE_WORDS)
 
 
-def _only(found: Sequence[LogColumn], columns: Sequence[LogColumn], what: str, where: str) -> LogColumn:
+def _only(found: Sequence[LogColumn], what: str, where: str) -> LogColumn:
     if len(found) > 1:
         raise PressureLogError(
-            f"{where}: expected one column of {what}, got {len(found)}: {_listed(columns, found)}; "
+            f"{where}: expected one column of {what}, got {len(found)}: {_listed(found)}; "
             f"give {what}_column, by name or by number from 1"
         )
     return found[0]
 
 
-def _listed(columns: Sequence[LogColumn], some: Sequence[LogColumn]) -> str:
-    """Columns by number and name, as the message lists them."""
-    return ", ".join(f"{number} '{c.name}'" for number, c in enumerate(columns, 1) if c in some)
+def _listed(columns: Sequence[LogColumn]) -> str:
+    """Columns by number and name."""
+    return ", ".join(f"{column.number} '{column.name}'" for column in columns)

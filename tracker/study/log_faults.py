@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..types import FloatArray
 from .log_clock import usual_step_s
@@ -19,9 +20,10 @@ _ATMOSPHERE_KPA = 80.0
 _HELD_S = 0.05
 
 
-def pressure_faults(time_s: FloatArray, pressure_kpa: FloatArray) -> list[str]:
-    """Warnings about a pressure (M,) kPa at rising times (M,) s; each opens with its name."""
+def pressure_faults(time_s: FloatArray, pressure_kpa: FloatArray) -> tuple[list[str], NDArray[np.bool_]]:
+    """Warnings about a pressure (M,) kPa at rising times (M,) s, each opens with its name; saturated samples (M,)."""
     warnings = []
+    saturated = np.zeros(len(pressure_kpa), dtype=bool)
     lost = int(np.isnan(pressure_kpa).sum())
     if lost:
         warnings.append(f"gap: {lost} of {len(pressure_kpa)} samples of the pressure are empty or no number")
@@ -32,7 +34,7 @@ def pressure_faults(time_s: FloatArray, pressure_kpa: FloatArray) -> list[str]:
         warnings.append(
             f"constant pressure: it stays between {pressure_kpa.min():.3g} and {pressure_kpa.max():.3g} kPa"
         )
-        return warnings
+        return warnings, saturated
     if low < -max(_NEGATIVE_KPA, 0.02 * (high - low)):
         warnings.append(
             f"negative pressure: it goes down to {low:.3g} kPa; a vacuum, or the sensor's zero or sign is wrong"
@@ -51,8 +53,8 @@ def pressure_faults(time_s: FloatArray, pressure_kpa: FloatArray) -> list[str]:
             f"held values: the pressure changes at every {held}th sample only, every {held * step_s * 1000:.3g} ms; "
             f"it is {(held - 1) / 2 * step_s * 1000:.3g} ms late on average"
         )
-    warnings += _saturation(time_s, pressure_kpa, held, step_s)
-    return warnings
+    found, saturated[known] = _saturation(pressure_kpa, held, step_s)
+    return warnings + found, saturated
 
 
 def _held_samples(values: FloatArray) -> int:
@@ -64,25 +66,26 @@ def _held_samples(values: FloatArray) -> int:
     return apart if apart < 100 else 1
 
 
-def _saturation(time_s: FloatArray, values: FloatArray, held: int, step_s: float) -> list[str]:
-    """Warnings of an upper or lower end that is held exactly, where the other values are not."""
+def _saturation(values: FloatArray, held: int, step_s: float) -> tuple[list[str], NDArray[np.bool_]]:
+    """An upper or lower end that is held exactly, where the other values are not: warnings, and which samples."""
     starts = np.concatenate([[0], np.flatnonzero(np.diff(values) != 0) + 1])
     lengths = np.diff(np.concatenate([starts, [len(values)]]))
     level = values[starts]
     inner = np.ones(len(starts), dtype=bool)
-    inner[[0, -1]] = False  # a rest before and after the waves is none
-    found = []
+    inner[[0, -1]] = False  # a rest at the bottom, before and after the waves, is none
+    found, saturated = [], np.zeros(len(starts), dtype=bool)
     for end, extreme in (("upper", values.max()), ("lower", values.min())):
-        at_end = (level == extreme) & inner
+        at_end = (level == extreme) & (inner | (end == "upper"))
         elsewhere = lengths[(level != extreme) & inner]
         if not at_end.any() or not len(elsewhere):
             continue
         needed = max(_HELD_S / step_s, 5 * held, 3 * float(np.percentile(elsewhere, 99)))
-        runs = lengths[at_end]
-        if runs.max() >= needed:
-            total_s = float(runs[runs >= needed].sum()) * step_s
+        long = at_end & (lengths >= needed)
+        if long.any():
+            saturated |= at_end  # a sensor that is seen to end here ends here in short runs too
             found.append(
-                f"saturation: the {end} end, {extreme:.4g} kPa, is held exactly {int((runs >= needed).sum())} "
-                f"times, {total_s:.3g} s in all; the true pressure went beyond what the sensor or the logger can say"
+                f"saturation: the {end} end, {extreme:.4g} kPa, is held exactly {int(long.sum())} times, "
+                f"{float(lengths[long].sum()) * step_s:.3g} s in all; the true pressure went beyond what the sensor "
+                f"or the logger can say"
             )
-    return found
+    return found, np.repeat(saturated, lengths)

@@ -6,6 +6,7 @@ What the columns mean is settled in `log_columns.py` and `pressure_log.py`.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +47,7 @@ def matlab_columns(path: Path) -> list[LogColumn]:
         raise PressureLogError(
             f"{path}: expected vectors of samples, found {', '.join(variables) or 'nothing'}"
         )
-    return columns
+    return [replace(column, number=number) for number, column in enumerate(columns, 1)]
 
 
 _OBJECT = object()

@@ -45,7 +45,7 @@ def read_model_curve(path: Path) -> ModelCurve:
                 f"{path}: expected one column of angles such as angle_deg, got {len(angles)} "
                 f"among {', '.join(column.name for column in columns)}"
             )
-        pressure = pressure_column(columns, angles, str(path))
+        pressure = pressure_column([c for c in columns if c not in angles], str(path))
     except PressureLogError as error:
         raise StudyError(str(error)) from error
     if pressure.unit not in KPA_IN:

@@ -13,10 +13,16 @@ from ..errors import StudyError
 from ..types import FloatArray
 
 # Two levels must be so many standard deviations of the noise apart to be told from it.
-_CLEAR = 8.0
-# A slow rise is followed up to these shares of the whole change; the two fits differ by what its curve makes unsure.
-_SHARES = (0.08, 0.16)
-_MIN_REST = 5
+_CLEAR = 6.0
+# A signal that is to leave its rest must show one first; what comes before the onset is looked at for so long.
+_REST_S = 0.5
+_BEFORE_S = 1.0
+# A departure must last so long to be one.
+_LASTING_S = 0.1
+# The beginning is fitted over two lengths: where no shape describes it they differ, by about as much as each is wrong.
+_AFTER_S = (0.4, 0.8)
+_MIN_SAMPLES = 10
+_MAX_SAMPLES = 180
 
 
 @dataclass(frozen=True)
@@ -45,11 +51,8 @@ def rising_edges(time_s: FloatArray, value: FloatArray, where: str) -> list[Onse
     """
     time_s, value = _known(time_s, value, where)
     low, high = float(value.min()), float(value.max())
-    middle = (low + high) / 2
-    # The noise of each level about itself, so that a lamp that is on most of the time is no noise.
-    on = value > middle
-    noise = max(float(np.std(value[on])), float(np.std(value[~on]))) if on.any() and not on.all() else 0.0
-    if high - low <= _CLEAR * noise / 2 or high == low:
+    on = value > (low + high) / 2
+    if high == low or value[on].mean() - value[~on].mean() <= _CLEAR * max(value[on].std(), value[~on].std()):
         raise StudyError(f"{where}: expected a step between two levels, found none ({low:g} to {high:g})")
     after = np.flatnonzero(on[1:] & ~on[:-1]) + 1
     if not len(after):
@@ -60,10 +63,10 @@ def rising_edges(time_s: FloatArray, value: FloatArray, where: str) -> list[Onse
 
 
 def leaving_rest(time_s: FloatArray, value: FloatArray, where: str) -> Onset:
-    """When a signal that rests at first begins to rise or fall, by a rest and a slope fitted on both sides.
+    """When a signal that rests at first begins to rise or fall.
 
-    The fit is made over two lengths of the slope; the difference between them, which a curved beginning makes, is
-    part of the uncertainty beside the fit's own.
+    A rest and the beginning of a change are fitted around the first departure that is clear of the noise, over two
+    lengths; the difference between the two is part of the uncertainty beside the fit's own.
 
     Parameters
     ----------
@@ -76,57 +79,73 @@ def leaving_rest(time_s: FloatArray, value: FloatArray, where: str) -> Onset:
         The signal does not rest at first, or does not leave its rest.
     """
     time_s, value = _known(time_s, value, where)
-    rest = np.median(value[:_MIN_REST])
-    whole = float(np.max(np.abs(value - rest)))
-    noise = 1.4826 * float(np.median(np.abs(np.diff(value[: max(_MIN_REST, len(value) // 50)])))) / 2**0.5
-    if whole <= _CLEAR * noise or whole == 0:
+    n_rest = int(np.searchsorted(time_s, time_s[0] + _REST_S))
+    step_s = float(np.median(np.diff(time_s)))
+    n_lasting = max(3, round(_LASTING_S / step_s))
+    if n_rest < n_lasting or n_rest + n_lasting >= len(time_s):
+        raise StudyError(
+            f"{where}: expected a rest of {_REST_S:g} s and an onset after it, got too few samples"
+        )
+    rest = float(np.mean(value[:n_rest]))
+    # About a line, so that a signal that moves from the beginning is no noise.
+    line = np.polynomial.Polynomial.fit(time_s[:n_rest], value[:n_rest], 1)
+    noise = float(np.std(value[:n_rest] - line(time_s[:n_rest]), ddof=2))
+    # A running mean over what lasts; a signal without noise still has digits.
+    smooth = np.convolve(value - rest, np.full(n_lasting, 1 / n_lasting), mode="valid")
+    clear = max(_CLEAR * noise / n_lasting**0.5, 1e-3 * float(np.ptp(value)))
+    beyond = np.abs(smooth) > clear
+    if not beyond.any():
         raise StudyError(f"{where}: expected an onset, found a signal that stays at {rest:.4g}")
-    fits = [_hinge(time_s, value - rest, max(share * whole, _CLEAR * noise), where) for share in _SHARES]
-    times = [fit.time_s for fit in fits]
-    spread = abs(times[1] - times[0])
-    return Onset(times[0], float(np.hypot(fits[0].sd_s, spread)))
+    first = int(np.argmax(beyond)) + n_lasting - 1
+    if first < n_rest:
+        raise StudyError(f"{where}: expected a rest of {_REST_S:g} s before the onset, found none")
+    begin = int(np.searchsorted(time_s, time_s[first] - _BEFORE_S))
+    ends = [int(np.searchsorted(time_s, time_s[first] + after)) for after in _AFTER_S]
+    short, long = (_begin_of(time_s[begin:end], value[begin:end]) for end in ends)
+    return Onset(short.time_s, float(np.hypot(short.sd_s, long.time_s - short.time_s)))
 
 
-def _hinge(time_s: FloatArray, value: FloatArray, level: float, where: str) -> Onset:
-    """Least squares of 0 before, a line after: over a rest and a slope of the same number of samples."""
-    beyond = np.abs(value) > level
-    # From where the signal stays beyond the level, so that one wild sample is no onset.
-    stays = beyond[:-2] & beyond[1:-1] & beyond[2:]
-    end = int(np.argmax(stays)) if stays.any() else 0
-    near = np.flatnonzero(np.abs(value[:end]) < level / 4)
-    if end < _MIN_REST or len(near) < _MIN_REST:
-        raise StudyError(f"{where}: expected a rest before the onset, found a signal that changes at once")
-    begin = max(0, 2 * int(near[-1]) - end)  # as much rest as slope, that a drift long before does not count
-    begin = max(0, min(begin, int(near[-1]) - _MIN_REST))
-    t, v = time_s[begin : end + 1], value[begin : end + 1]
-    candidates = np.linspace(t[1], t[-2], 400)
-    best = min(candidates, key=lambda at: _misfit(t, v, at)[0])
-    step = candidates[1] - candidates[0]
-    fine = np.linspace(best - step, best + step, 41)
-    best = float(min(fine, key=lambda at: _misfit(t, v, at)[0]))
-    squares, slope = _misfit(t, v, best)
-    noise = np.sqrt(squares / max(1, len(t) - 3))
-    # Of a line through rest noise: the onset is known as its height is, over the slope (to first order).
-    after = t[t > best] - best
-    before = int(np.sum(t <= best))
-    gradient = np.column_stack(
-        [np.ones(len(t)), np.where(t > best, t - best, 0), np.where(t > best, -slope, 0)]
-    )
-    covariance = np.linalg.pinv(gradient.T @ gradient) * noise**2
-    if not len(after) or not before or slope == 0:
-        raise StudyError(f"{where}: expected an onset, found none that a line could be fitted to")
-    return Onset(best, float(np.sqrt(covariance[2, 2])))
+def _begin_of(t: FloatArray, v: FloatArray) -> Onset:
+    """Onset of samples (N,) that rest and then begin to change, by how well each moment explains them.
+
+    A change of unknown shape is taken for one of three: a ramp to a level, an approach to a level, a slope that sets in
+    gradually; each with a time of its own. All moments, shapes and times are weighed by their likelihood
+    (Gaussian noise, as large as the best fit leaves), so that what cannot be told apart makes the onset unsure.
+    """
+    t, v = _thinned(t, v)
+    begins = np.linspace(t[0], t[-1], 42)[1:-1]
+    lasts = (t[-1] - t[0]) * np.geomspace(0.01, 3, 40)
+    for _ in range(3):  # closer and closer around the likely ones
+        squares = np.stack([_misfits(t, v, begins, last) for last in lasts])
+        noise = max(float(squares.min()) / max(1, len(t) - 4), 1e-300)
+        weight = np.exp(-(squares - squares.min()) / (2 * noise)).sum(axis=(0, 1))
+        weight /= weight.sum()
+        mean = float(weight @ begins)
+        sd = float(np.sqrt(weight @ (begins - mean) ** 2 + (begins[1] - begins[0]) ** 2 / 12))
+        begins = np.linspace(max(t[0], mean - 5 * sd), min(t[-1], mean + 5 * sd), 40)
+    # Between two samples nothing is known.
+    return Onset(mean, float(np.hypot(sd, np.median(np.diff(t)) / 12**0.5)))
 
 
-def _misfit(t: FloatArray, v: FloatArray, at: float) -> tuple[float, float]:
-    """Sum of squares and slope of the best rest and line that meet at a time."""
-    design = np.column_stack([np.ones(len(t)), np.maximum(t - at, 0)])
-    coefficients, *_ = np.linalg.lstsq(design, v, rcond=None)
-    return float(np.sum((v - design @ coefficients) ** 2)), float(coefficients[1])
+def _thinned(t: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Means of neighbouring samples where there are more than are needed; the noise's share of information stays."""
+    n = max(1, len(t) // _MAX_SAMPLES)
+    whole = len(t) // n * n
+    return t[:whole].reshape(-1, n).mean(axis=1), v[:whole].reshape(-1, n).mean(axis=1)
+
+
+def _misfits(t: FloatArray, v: FloatArray, begins: FloatArray, last: float) -> FloatArray:
+    """Sums of squares (3, B) that the shapes leave, begun at B moments, with the best rest and height."""
+    since = np.maximum(t - begins[:, None], 0) / last
+    shapes = np.stack([np.minimum(since, 1), -np.expm1(-since), since**2 / (1 + since)])
+    shapes -= shapes.mean(axis=2, keepdims=True)
+    away = v - v.mean()
+    power = np.maximum((shapes**2).sum(axis=2), 1e-12)
+    return np.asarray((away**2).sum() - (shapes @ away) ** 2 / power)
 
 
 def _known(time_s: FloatArray, value: FloatArray, where: str) -> tuple[FloatArray, FloatArray]:
     known = np.isfinite(value)
-    if known.sum() < 2 * _MIN_REST:
+    if known.sum() < _MIN_SAMPLES:
         raise StudyError(f"{where}: expected a signal with an event in it, got {int(known.sum())} samples")
     return time_s[known], value[known]

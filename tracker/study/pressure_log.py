@@ -5,27 +5,21 @@ How files give columns is in `csv_log.py` and `matlab_log.py`; how the log comes
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import PressureLogError
 from ..types import FloatArray
 from ..video import file_sha256
 from .csv_log import csv_columns
 from .log_clock import order_clock, usual_step_s
-from .log_columns import (
-    LogColumn,
-    named_column,
-    pressure_column,
-    reference_column,
-    sync_column,
-    time_column,
-)
+from .log_columns import LogColumn, choose_columns
 from .log_faults import pressure_faults
 from .log_format import LogFormat
 from .matlab_log import matlab_columns
@@ -52,6 +46,7 @@ class PressureLog:
     sync : (M,) the sync channel as logged, if there is one
     started_s : seconds since 1970 (UTC, or of a clock without zone) of time 0, where dates were logged
     time_sd_s : uncertainty that the log's own clock adds (a clock that ticks coarsely)
+    saturated : (M,) samples held at an end of the sensor's range; None: there are none
     warnings : a line each
     provenance : JSON-ready: file, hash, columns, units, rate
     """
@@ -62,6 +57,7 @@ class PressureLog:
     sync: FloatArray | None = None
     started_s: float | None = None
     time_sd_s: float = 0.0
+    saturated: NDArray[np.bool_] | None = None
     warnings: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
@@ -80,7 +76,7 @@ def read_pressure_log(path: str | Path, log_format: LogFormat | None = None) -> 
     """
     path, log_format = Path(path), log_format or LogFormat()
     columns, warnings = _columns_of(path)
-    pressure, time, reference, sync = _chosen(columns, log_format, str(path))
+    pressure, time, reference, sync = choose_columns(columns, log_format, str(path))
     if time is None:
         seconds, started_s, notes = _counted(len(pressure.values), log_format, str(path)), None, []
     else:
@@ -95,6 +91,7 @@ def read_pressure_log(path: str | Path, log_format: LogFormat | None = None) -> 
     if len(clock.rows) < _MIN_SAMPLES:
         raise PressureLogError(f"{path}: expected at least {_MIN_SAMPLES} samples in the order of time")
     time_s, kpa = clock.time_s - log_format.lag_s, kpa[clock.rows]
+    faults, saturated = pressure_faults(time_s, kpa)
     rate_hz = 1 / usual_step_s(time_s)
     if time is not None and log_format.rate_hz is not None and abs(rate_hz / log_format.rate_hz - 1) > 0.01:
         warnings.append(f"rate_hz = {log_format.rate_hz:g} was given, the log's times say {rate_hz:.5g}")
@@ -108,7 +105,8 @@ def read_pressure_log(path: str | Path, log_format: LogFormat | None = None) -> 
         started_s=started_s,
         # A sample's true time lies anywhere in its tick.
         time_sd_s=clock.tick_s / 12**0.5,
-        warnings=(*warnings, *clock.warnings, *pressure_faults(time_s, kpa)),
+        saturated=saturated if saturated.any() else None,
+        warnings=(*warnings, *clock.warnings, *faults),
         provenance={
             "name": path.name,
             "sha256": file_sha256(path),
@@ -134,47 +132,6 @@ def _columns_of(path: Path) -> tuple[list[LogColumn], list[str]]:
     if path.suffix.lower() == ".mat" or h5py.is_hdf5(path):
         return matlab_columns(path), []
     return csv_columns(path)
-
-
-def _chosen(
-    columns: Sequence[LogColumn], asked: LogFormat, where: str
-) -> tuple[LogColumn, LogColumn | None, LogColumn | None, LogColumn | None]:
-    """Columns of pressure, time, reference and sync: those named first, then what their headers say."""
-    named = {
-        key: named_column(columns, wanted, key, where)
-        for key in ("time_column", "pressure_column", "reference_column", "sync_column")
-        if (wanted := getattr(asked, key)) is not None
-    }
-    taken = list(named.values())
-    pressure, time = named.get("pressure_column"), named.get("time_column")
-    if time is None and not any(column.time for column in columns):
-        time = time_column([c for c in columns if c not in taken], where)
-        taken += [time] if time else []
-    if pressure is None:
-        candidates = [c for c in columns if time is None or len(c.values) == len(time.values)]
-        pressure = pressure_column(columns if len(candidates) == len(columns) else candidates, taken, where)
-        taken.append(pressure)
-    if time is None:
-        alike = [c for c in columns if len(c.values) == len(pressure.values) and c not in taken]
-        time = pressure.time or time_column(alike, where)
-    elif len(time.values) != len(pressure.values):
-        raise PressureLogError(
-            f"{where}: expected as many times as pressures, got {len(time.values)} in '{time.name}' "
-            f"and {len(pressure.values)} in '{pressure.name}'"
-        )
-    rest = [c for c in columns if len(c.values) == len(pressure.values) or c.time is not None]
-    taken = [c for c in (*taken, time) if c is not None]
-    reference = named.get("reference_column") or reference_column(rest, taken, where)
-    sync = named.get("sync_column")
-    if sync is None:
-        alike = [c for c in rest if len(c.values) == len(pressure.values)]
-        sync = sync_column(alike, [*taken, *([reference] if reference else [])], where)
-    if sync is not None and len(sync.values) != len(pressure.values):
-        raise PressureLogError(
-            f"{where}: expected a sync channel of {len(pressure.values)} samples as the pressure has, "
-            f"got {len(sync.values)} in '{sync.name}'"
-        )
-    return pressure, time, reference, sync
 
 
 def _counted(n_samples: int, asked: LogFormat, where: str) -> FloatArray:

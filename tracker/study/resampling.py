@@ -15,11 +15,10 @@ from __future__ import annotations
 import numpy as np
 
 from ..types import FloatArray
+from .log_clock import GAP_STEPS
 
 # Samples fitted at once, so that a log at 100 kHz does not fill the memory.
 _BLOCK = 2_000_000
-# A frame with less than this share of its samples stands at a gap.
-_MIN_SHARE = 0.5
 
 
 def pressure_at_frames(
@@ -35,7 +34,7 @@ def pressure_at_frames(
     Returns
     -------
     pressure_kpa : (T,) NaN for frames before or after the log or in a gap of it. Where the log has fewer samples
-        than there are frames, the line goes through the neighbouring samples.
+        than there are frames, or they are uneven, the line goes through the two samples on the frame's sides.
     rate_kpa_s : (T,) slope of that pressure from frame to frame, kPa/s
     """
     known = np.isfinite(log_pressure_kpa)
@@ -50,8 +49,9 @@ def pressure_at_frames(
     first = np.searchsorted(log_time_s, frame_time_s - half_s - 1e-9)
     last = np.searchsorted(log_time_s, frame_time_s + half_s + 1e-9)
     width = int((last - first).max())
-    expected = max(2.0, 2 * half_s / step_s)
-    per_block = max(1, _BLOCK // max(width, 1))
+    if width < 2:
+        return pressure, pressure.copy()
+    per_block = max(1, _BLOCK // width)
     for begin in range(0, len(frame_time_s), per_block):
         block = slice(begin, begin + per_block)
         index = first[block, None] + np.arange(width)
@@ -60,17 +60,27 @@ def pressure_at_frames(
         dt = np.where(inside, log_time_s[index] - frame_time_s[block, None], 0.0)
         value = np.where(inside, log_pressure_kpa[index], 0.0)
         n = inside.sum(axis=1)
-        # A frame is within the log if samples lie on both sides of it, or one as near as the next would be.
+        # A line must not reach beyond its samples: at an end or beside a gap of the log they lie on one side only.
         before = np.where(inside, dt, np.inf).min(axis=1) <= 1e-9
         after = np.where(inside, dt, -np.inf).max(axis=1) >= -1e-9
-        sound = before & after & (n >= max(2.0, _MIN_SHARE * expected))
+        sound = before & after & (n >= 2)
         pressure[block] = np.where(sound, _line_at_zero(dt, value, n), np.nan)
-    # At the log's two ends the window is half outside.
+    apart_s = _sides_apart_s(frame_time_s, log_time_s)
+    between = np.isnan(pressure) & (apart_s <= max(interval_s, GAP_STEPS * step_s))
+    pressure[between] = np.interp(frame_time_s[between], log_time_s, log_pressure_kpa)
     rate = np.full(len(frame_time_s), np.nan)
     for begin, end in _runs(np.isfinite(pressure)):
         if end - begin > 1:
             rate[begin:end] = np.gradient(pressure[begin:end], frame_time_s[begin:end])
     return pressure, rate
+
+
+def _sides_apart_s(frame_time_s: FloatArray, log_time_s: FloatArray) -> FloatArray:
+    """Time (T,) from the last sample before each frame to the first one after it; infinite outside the log."""
+    after = np.searchsorted(log_time_s, frame_time_s)
+    inside = (after > 0) & (after < len(log_time_s))
+    after = np.clip(after, 1, len(log_time_s) - 1)
+    return np.where(inside, log_time_s[after] - log_time_s[after - 1], np.inf)
 
 
 def _line_at_zero(dt: FloatArray, value: FloatArray, n: np.ndarray) -> FloatArray:

@@ -133,6 +133,7 @@ class _StudyEntries(Section):
     results: RelativePath | None = None
     keep_flagged: Annotated[tuple[str, ...], Field(strict=False)] = ()
     angle_common_sd_deg: float = Field(default=0.0, ge=0)
+    compare_angles_deg: Annotated[tuple[float, ...], Field(strict=False)] = ()
     log_format: LogFormat = LogFormat()
     sync: SyncSettings = SyncSettings()
     designs: dict[str, _DesignEntry] = Field(default_factory=dict)
@@ -203,6 +204,7 @@ class Study:
     trials : in the order of the file
     results : folder of angle tables, in which a trial's video is looked up
     keep_flagged : flags (see `types.Flag`) of rows whose angle is used all the same; other flagged rows are gaps
+    compare_angles_deg : where hysteresis ratios of designs are compared; empty leaves it to the analysis
     """
 
     path: Path
@@ -212,6 +214,7 @@ class Study:
     trials: tuple[TrialSettings, ...]
     results: Path | None
     keep_flagged: tuple[str, ...]
+    compare_angles_deg: tuple[float, ...]
 
     @property
     def root(self) -> Path:
@@ -248,6 +251,7 @@ def read_study(path: str | Path) -> Study:
         trials=tuple(_resolved(trial, entries, path.parent) for trial in entries.trials),
         results=None if entries.results is None else path.parent / entries.results,
         keep_flagged=entries.keep_flagged,
+        compare_angles_deg=entries.compare_angles_deg,
     )
 
 

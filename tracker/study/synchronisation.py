@@ -20,6 +20,9 @@ from .pressure_log import PressureLog
 from .study_file import SyncSettings
 from .trial import Shift
 
+# A shift less sure than this is worth a word: it widens every interval of hysteresis.
+_UNSURE_FRAMES = 2.0
+
 
 @dataclass(frozen=True)
 class Synchronised:
@@ -65,8 +68,12 @@ def synchronise(
         delay_s, sd_s = _shared_clock(settings, log, where, warnings), 0.0
     else:
         delay_s, sd_s = _by_event(settings, log, time_s, angle_deg, video, where, warnings)
-    half_frame_s = 0.5 * float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.0
-    sd_s = max(float(np.sqrt(sd_s**2 + settings.sd_s**2 + log.time_sd_s**2)), half_frame_s)
+    frame_s = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.0
+    sd_s = max(float(np.sqrt(sd_s**2 + settings.sd_s**2 + log.time_sd_s**2)), 0.5 * frame_s)
+    if sd_s > _UNSURE_FRAMES * frame_s:
+        warnings.append(
+            f"{settings.method}: the shift is known to {sd_s:.3f} s only, {sd_s / frame_s:.1f} frames"
+        )
     return Synchronised(Shift(delay_s, sd_s, settings.method), tuple(warnings))
 
 

@@ -58,6 +58,7 @@ class TrialData:
     warnings : one sentence each, from reading the trial
     provenance : JSON-ready, where the data came from
     angle_common_sd_deg : standard uncertainty that all angles of the trial share (a label's offset, say)
+    saturated_s : times at which the pressure sensor stood at an end of its range
     """
 
     name: str
@@ -79,6 +80,7 @@ class TrialData:
     warnings: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
     angle_common_sd_deg: float = 0.0
+    saturated_s: FloatArray = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
         on_frames = (self.angle_deg, self.angle_sd_deg, self.pressure_kpa, self.pressure_rate_kpa_s)

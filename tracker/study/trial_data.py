@@ -63,7 +63,10 @@ def load_trial(study: Study, settings: TrialSettings) -> TrialData:
     synchronised = synchronise(settings.sync, log, angles.time_s, angles.angle_deg, settings.video, where)
     shift = synchronised.shift
     log_time_s = log.time_s + shift.delay_s
-    pressure_kpa, rate_kpa_s = pressure_at_frames(angles.time_s, log_time_s, log.pressure_kpa)
+    # At an end of the sensor's range the true pressure is not known.
+    saturated = np.zeros(len(log_time_s), dtype=bool) if log.saturated is None else log.saturated
+    sound_kpa = np.where(saturated, np.nan, log.pressure_kpa)
+    pressure_kpa, rate_kpa_s = pressure_at_frames(angles.time_s, log_time_s, sound_kpa)
     warnings += _coverage(angles.time_s, pressure_kpa, log_time_s, where)
     curve = None if settings.model is None else read_model_curve(settings.model)
     return TrialData(
@@ -79,6 +82,7 @@ def load_trial(study: Study, settings: TrialSettings) -> TrialData:
         pressure_rate_kpa_s=rate_kpa_s,
         log_time_s=log_time_s,
         log_pressure_kpa=log.pressure_kpa,
+        saturated_s=log_time_s[saturated],
         log_reference_kpa=reference_kpa,
         model_pressure_kpa=None if curve is None else curve.pressure_kpa,
         model_angle_deg=None if curve is None else curve.angle_deg,

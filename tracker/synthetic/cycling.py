@@ -39,11 +39,12 @@ class CyclingTrial:
     ----------
     frequency_hz, peak_kpa, cycles : the wave, from 0 to `peak_kpa`, after `rest_s` at 0 and before another
     angle_max_deg : largest angle of a steady cycle
-    residual_deg : angle at 0 kPa after every cycle; the first begins at 0
+    residual_deg : angle at 0 kPa after every cycle
     hysteresis_ratio : of a steady cycle, to the axes (paper, section on dynamic analysis)
     lag_s : by how much the pressure follows its reference late
     peak_sd_deg, ratio_sd : how cycles differ (standard deviations of the largest angle and of the ratio)
     rest_s : time at 0 kPa before and after
+    first_differs : the first cycle begins at 0 deg and bends less far, as that of a rested actuator
     seed : draws the differences of the cycles
     """
 
@@ -57,6 +58,7 @@ class CyclingTrial:
     peak_sd_deg: float = 0.0
     ratio_sd: float = 0.0
     rest_s: float = 1.0
+    first_differs: bool = True
     seed: int = 0
 
     @property
@@ -68,7 +70,8 @@ class CyclingTrial:
     def _peaks_deg(self) -> FloatArray:
         draws = np.random.default_rng([self.seed, 21]).standard_normal(self.cycles)
         peaks = self.angle_max_deg + self.peak_sd_deg * draws
-        peaks[0] *= _FIRST_PEAK
+        if self.first_differs:
+            peaks[0] *= _FIRST_PEAK
         return peaks
 
     @cached_property
@@ -94,7 +97,8 @@ class CyclingTrial:
         """The bending angle, without noise."""
         cycle, phase = self._phase(time_s)
         inside = np.clip(cycle, 0, self.cycles - 1)
-        start = np.where(inside == 0, 0.0, self.residual_deg)
+        rested_deg = 0.0 if self.first_differs else self.residual_deg
+        start = np.where(inside == 0, rested_deg, self.residual_deg)
         angle = _loop(
             phase < 0.5,
             self._wave(phase),
@@ -103,7 +107,7 @@ class CyclingTrial:
             self._peaks_deg[inside],
             self.residual_deg,
         )
-        angle = np.where(cycle < 0, 0.0, angle)
+        angle = np.where(cycle < 0, rested_deg, angle)
         return np.where(cycle >= self.cycles, self.residual_deg, angle)
 
     def truth(self, pressure_noise_kpa: float = 0.0) -> dict[str, float]:

@@ -248,6 +248,7 @@ def _study_text(seed: int, entries: Sequence[dict[str, Any]]) -> str:
     document = tomlkit.document()
     document["title"] = f"Simulated study, seed {seed}"
     document["baseline"] = study_plan.BASELINE
+    document["compare_angles_deg"] = sorted({row.angle_deg for row in study_plan.COMPARISONS})
     trials = tomlkit.aot()
     for entry in entries:
         table = tomlkit.table()

@@ -1,0 +1,54 @@
+"""How well the pressure followed its reference wave: the study's tracking error.
+
+Source: the study's table of tracking errors (RMSE, and NRMSE over the reference's peak-to-peak).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from .intervals import Estimate, mean_of
+from .trial import TrialData
+
+# Stretches of the log whose errors are compared for the interval: as many as the study's trials have cycles.
+_STRETCHES = 12
+
+
+@dataclass(frozen=True)
+class ControlNumbers:
+    """RMSE in kPa with its uncertainty, NRMSE (share of the reference's peak-to-peak), and readings compared."""
+
+    rmse_kpa: Estimate
+    nrmse: Estimate
+    reference_pp_kpa: float
+    readings: int
+
+
+def tracking_error(trial: TrialData) -> ControlNumbers | None:
+    """Tracking error over the whole log; None where the trial has no reference or it never moves.
+
+    The sensor's noise is part of it, as in the paper. Its uncertainty comes from the mean squared errors of
+    twelve equal stretches of the log.
+    """
+    if trial.log_reference_kpa is None:
+        return None
+    both = np.isfinite(trial.log_pressure_kpa) & np.isfinite(trial.log_reference_kpa)
+    if both.sum() < _STRETCHES:
+        return None
+    reference = trial.log_reference_kpa[both]
+    squares = (trial.log_pressure_kpa[both] - reference) ** 2
+    peak_to_peak = float(np.ptp(reference))
+    if not peak_to_peak > 0:
+        return None
+    rmse = math.sqrt(float(squares.mean()))
+    spread = mean_of([float(part.mean()) for part in np.array_split(squares, _STRETCHES)])
+    sd = spread.sd / (2 * rmse) if rmse > 0 else 0.0
+    return ControlNumbers(
+        rmse_kpa=Estimate(rmse, sd, spread.dof),
+        nrmse=Estimate(rmse / peak_to_peak, sd / peak_to_peak, spread.dof),
+        reference_pp_kpa=peak_to_peak,
+        readings=int(both.sum()),
+    )

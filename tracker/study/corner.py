@@ -1,0 +1,154 @@
+"""The pressure at the turns of a wave, without the bias that the largest noisy reading has.
+
+The largest of many noisy readings lies above the truth, so it is read from a curve through all readings around all
+turns. The angle at the turns is `branches.py`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..types import FloatArray
+
+# How far around a turn the log is looked at: share of the period, and at most.
+_WINDOW_SHARE, _WINDOW_S = 0.06, 0.25
+# Half widths of a rounded corner that are tried, as shares of the window; 0 is sharp.
+_ROUNDINGS = (0.0, 0.04, 0.06, 0.09, 0.13, 0.18, 0.25, 0.35, 0.5, 0.7, 1.0)
+# Readings are averaged in this many cells before the fits, and the curve is kept at as many places.
+_CELLS = 160
+_FEWEST_READINGS = 8
+
+
+@dataclass(frozen=True)
+class TurningPressure:
+    """Pressure around the turns of one kind (all tops, or all feet) of a trial's cycles.
+
+    Attributes
+    ----------
+    turn_s, kpa : (C,) when it turns, and its pressure there
+    common_sd_kpa : standard uncertainty that all of `kpa` share, from the curve that they share
+    curve_s, curve_kpa : (G,) the curve: time after the turn, pressure less that of the turn
+    """
+
+    turn_s: FloatArray
+    kpa: FloatArray
+    common_sd_kpa: float
+    curve_s: FloatArray
+    curve_kpa: FloatArray
+
+    def off_kpa(self, late_s: FloatArray) -> FloatArray:
+        """Pressure less that of the turn, so long after a turn; NaN further away than the curve reaches."""
+        return np.interp(late_s, self.curve_s, self.curve_kpa, left=np.nan, right=np.nan)
+
+
+def turning_pressure(
+    time_s: FloatArray, pressure_kpa: FloatArray, turns_s: FloatArray, period_s: float
+) -> TurningPressure:
+    """Pressure at the turns of a log.
+
+    All turns are laid over each other, and curves of two flanks (lines, parabolas or cubics) that meet in a
+    corner, sharp or rounded, are fitted through them. Their mean counts, weighted by how well each describes
+    the readings (Akaike weights); how much they disagree is part of the uncertainty. A turn of its own differs
+    from the curve by its mean distance.
+
+    Parameters
+    ----------
+    time_s, pressure_kpa : (M,) the log as recorded, NaN where missing
+    turns_s : (C,) roughly when it turns
+    period_s : of the cycles
+    """
+    reach = min(_WINDOW_SHARE * period_s, _WINDOW_S)
+    known = np.isfinite(pressure_kpa)
+    time_s, pressure_kpa = time_s[known], pressure_kpa[known]
+    turns_s = np.array([_aligned(time_s, pressure_kpa, float(turn), reach) for turn in turns_s])
+    places = [slice(*np.searchsorted(time_s, (turn - reach, turn + reach)).tolist()) for turn in turns_s]
+    counts = np.array([place.stop - place.start for place in places])
+    rich = counts >= _FEWEST_READINGS
+    kpa = np.interp(turns_s, time_s, pressure_kpa) if time_s.size else np.full(turns_s.size, np.nan)
+    if not rich.any():
+        step = float(np.median(np.diff(time_s))) if time_s.size > 1 else float("nan")
+        sd = abs(float(np.median(np.diff(pressure_kpa)))) if step == step else float("nan")
+        return TurningPressure(turns_s, kpa, sd, np.array([0.0]), np.array([0.0]))
+    off = [(time_s[place] - turn) / reach for place, turn in zip(places, turns_s, strict=True)]
+    means = np.array([pressure_kpa[place].mean() if place.stop > place.start else np.nan for place in places])
+    level = [pressure_kpa[place] - mean for place, mean in zip(places, means, strict=True)]
+    chosen = np.flatnonzero(rich)
+    cells = _averaged(np.concatenate([off[c] for c in chosen]), np.concatenate([level[c] for c in chosen]))
+    grid = np.linspace(-1, 1, 2 * _CELLS + 1)
+    curve, top, sd = _mean_curve(*cells, grid)
+    # What the readings of a turn would average to on the curve; not 0 where they lie unevenly.
+    usual = [float(np.interp(off[c], grid, curve).mean()) for c in chosen]
+    kpa[chosen] = means[chosen] - usual + top
+    return TurningPressure(turns_s, kpa, sd, grid * reach, curve - top)
+
+
+def _aligned(time_s: FloatArray, pressure_kpa: FloatArray, turn_s: float, reach_s: float) -> float:
+    """The turn's time, better: where the lines through the flanks on its two sides meet."""
+    first, middle, last = np.searchsorted(time_s, (turn_s - reach_s, turn_s, turn_s + reach_s))
+    if middle - first < 4 or last - middle < 4:
+        return turn_s
+    slope_l, at_l = _line(time_s[first:middle] - turn_s, pressure_kpa[first:middle])
+    slope_r, at_r = _line(time_s[middle:last] - turn_s, pressure_kpa[middle:last])
+    steep = sorted((abs(slope_l), abs(slope_r)))
+    if slope_l * slope_r >= 0 or steep[0] < 0.3 * steep[1]:
+        return turn_s  # a plateau or a rest on one side: there is no corner to meet in
+    move = (at_r - at_l) / (slope_l - slope_r)
+    return turn_s + min(max(move, -reach_s / 4), reach_s / 4)
+
+
+def _line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
+    """Slope, and height at 0."""
+    centred = x - x.mean()
+    slope = float(centred @ y / (centred @ centred))
+    return slope, float(y.mean() - slope * x.mean())
+
+
+def _averaged(off: FloatArray, level: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Cell means of both, and the number of readings in each cell; no cell lies on both sides of 0."""
+    cell = np.clip(((off + 1) / 2 * _CELLS).astype(int), 0, _CELLS - 1)
+    counts = np.bincount(cell, minlength=_CELLS).astype(float)
+    full = counts > 0
+    sums = (np.bincount(cell, weights=values, minlength=_CELLS)[full] for values in (off, level))
+    off_mean, level_mean = (total / counts[full] for total in sums)
+    return off_mean, level_mean, counts[full]
+
+
+def _mean_curve(
+    off: FloatArray, level: FloatArray, counts: FloatArray, grid: FloatArray
+) -> tuple[FloatArray, float, float]:
+    """The weighted mean of all curves on a grid, its value at 0, and that value's standard uncertainty."""
+    weight = np.sqrt(counts)
+    criteria, tops, variances, curves = [], [], [], []
+    for order in (1, 2, 3):
+        # (R, cells, P): one design for each rounding
+        designs = _designs(off, order) * weight[:, None]
+        inverses = np.linalg.pinv(np.swapaxes(designs, 1, 2) @ designs, hermitian=True)
+        coefficients = inverses @ (np.swapaxes(designs, 1, 2) @ (level * weight))[..., None]
+        squares = np.sum((level * weight - (designs @ coefficients)[..., 0]) ** 2, axis=1)
+        squares = np.maximum(squares, 1e-18)
+        cells, parameters = designs.shape[1:]
+        at_zero = _designs(np.zeros(1), order)  # (R, 1, P)
+        criteria.append(cells * np.log(squares / cells) + 2 * parameters)
+        tops.append((at_zero @ coefficients)[:, 0, 0])
+        spread = (at_zero @ inverses @ np.swapaxes(at_zero, 1, 2))[:, 0, 0]
+        variances.append(squares / max(cells - parameters, 1) * spread)
+        curves.append((_designs(grid, order) @ coefficients)[..., 0])
+    criterion, value, own = np.concatenate(criteria), np.concatenate(tops), np.concatenate(variances)
+    shares = np.exp(-(criterion - criterion.min()) / 2)
+    shares /= shares.sum()
+    top = float(shares @ value)
+    variance = float(shares @ (own + (value - top) ** 2))
+    return shares @ np.concatenate(curves), top, float(np.sqrt(variance))
+
+
+def _designs(off: FloatArray, order: int) -> FloatArray:
+    """(R, N, P) columns of two flanks that meet in a corner, for each rounding of it."""
+    away, rounding = np.abs(off), np.array(_ROUNDINGS)[:, None]
+    smooth = (off**2 + rounding**2) / (2 * np.maximum(rounding, 1e-12))
+    columns = [np.ones_like(off), off, off**2, off * away, off**3, away**3][: 2 * order]
+    designs = np.empty((len(_ROUNDINGS), off.size, 1 + len(columns)))
+    designs[..., 0] = np.where(away < rounding, smooth, away)
+    designs[..., 1:] = np.stack(columns, axis=1)
+    return designs

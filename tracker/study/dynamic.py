@@ -1,0 +1,402 @@
+"""One dynamic trial: what every cycle measures, which cycles count, and the trial's values with their intervals.
+
+Loops and numbers of the cycles come from `measured_cycles.py`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..types import FloatArray
+from .cycles import CycleTrain, find_cycles
+from .hysteresis import hysteresis_ratio, hysteresis_ratio_extremes
+from .intervals import NAN, Estimate, combined, line_through, mean_of, student_quantile
+from .measured_cycles import MeasuredCycles, measure_cycles
+from .trial import TrialData
+
+# The first cycle is set apart where the others' spread makes it less likely than this; three numbers are looked at.
+_APART_P = 0.01 / 3
+# A drift over the cycles is taken for one where chance makes it less likely than this.
+_DRIFT_P = 0.01
+# Pressure this far below 0, as a share of the largest, leaves the paper's rectangle; so does an angle.
+_BELOW_SHARE = 0.05
+# Points of a cycle at which cycles are compared.
+_PHASES = 100
+_APART = "differs from the cycles after it"
+
+
+@dataclass(frozen=True)
+class CycleNumbers:
+    """What one complete cycle measures. NaN with a reason where it cannot.
+
+    `number` counts complete cycles from 1 on; `reason` says why a cycle is not used (empty where it is).
+    The ratio's rectangle is the trial's (the paper's definition), the extremes' is the cycle's own.
+    """
+
+    number: int
+    used: bool
+    reason: str
+    start_s: float
+    turn_s: float
+    end_s: float
+    period_s: float
+    frames: int
+    missing_frames: int
+    longest_gap_s: float
+    pressure_min_kpa: float
+    pressure_max_kpa: float
+    largest_angle_deg: float
+    residual_angle_deg: float
+    hysteresis_deg_kpa: float
+    hysteresis_ratio: float
+    hysteresis_ratio_extremes: float
+    mid_width_deg: float
+
+
+@dataclass(frozen=True)
+class DynamicNumbers:
+    """A trial's values. An `Estimate` without a value is NaN and `warnings` say why.
+
+    Attributes
+    ----------
+    cycles : one entry a complete cycle
+    loops : (N, 2) kPa and deg of each cycle that is used, and of a first one that is set apart
+    cycles_used : their numbers
+    first_cycle_apart : the first cycle differs from the others and is left out
+    period_s, amplitude_kpa, phase_s : of the pressure wave
+    largest_pressure_kpa, dynamic_response_deg : sides of the paper's rectangle
+    ratio_per_frame_shift : what the ratio gains if every angle gets the pressure of one frame later (a delay that
+        is one frame less)
+    repeatability_deg : RMS over the cycle of the spread (sd) between cycles; includes one frame's noise
+    repeatability_hysteresis : spread (sd) of the cycles' areas over their mean
+    largest_angle_drift_deg, residual_angle_drift_deg : slope over the cycles, deg per cycle
+    """
+
+    cycles: tuple[CycleNumbers, ...]
+    loops: tuple[FloatArray, ...]
+    cycles_used: tuple[int, ...]
+    first_cycle_apart: bool
+    period_s: float
+    amplitude_kpa: float
+    phase_s: float
+    largest_pressure_kpa: Estimate
+    dynamic_response_deg: Estimate
+    hysteresis_deg_kpa: Estimate
+    hysteresis_ratio: Estimate
+    hysteresis_ratio_extremes: Estimate
+    mid_width_deg: Estimate
+    residual_angle_deg: Estimate
+    largest_angle_drift_deg: Estimate
+    residual_angle_drift_deg: Estimate
+    ratio_per_frame_shift: float
+    repeatability_deg: float
+    repeatability_hysteresis: float
+    warnings: tuple[str, ...]
+
+
+def measure_dynamic(trial: TrialData) -> DynamicNumbers:
+    """Cycles, per-cycle and trial values of a dynamic trial.
+
+    A trial's value is the mean over the cycles used, with a Student interval over them; the uncertainty of the
+    clocks' shift and of what all angles share is added. The dynamic response is the mean of the cycles' largest
+    angles too, unless they drift: then it is the larger end of the line through them, and a warning says so.
+    """
+    train = find_cycles(trial.log_time_s, trial.log_pressure_kpa)
+    warnings = [*train.warnings, *train.incomplete]
+    if not train.start_s.size:
+        return _nothing(train, warnings)
+    if not np.any(np.isfinite(trial.pressure_kpa) & np.isfinite(trial.angle_deg)):
+        return _nothing(train, [*warnings, "no frame has both an angle and a pressure"])
+    measured = measure_cycles(trial, train)
+    reasons = list(measured.refusals)
+    warnings += [f"cycle {place} is not used: {reason}" for place, reason in enumerate(reasons, 1) if reason]
+    used = np.array([not reason for reason in reasons])
+    first_apart = bool(used[0]) and _first_differs(measured, used)
+    if first_apart:
+        used[0] = False
+        reasons[0] = _APART
+        warnings.append(
+            "the first cycle differs from the others: it is reported apart and left out of the means"
+        )
+    if not used.any():
+        cycles = tuple(_cycle_numbers(measured, place, reason, NAN) for place, reason in enumerate(reasons))
+        return _nothing(train, [*warnings, "no cycle can be used"], cycles)
+    if used.sum() == 1:
+        warnings.append("one cycle is used: there is no spread over cycles, hence no interval")
+    return _values(trial, measured, _Used.of(measured, used), reasons, warnings)
+
+
+@dataclass(frozen=True)
+class _Used:
+    """The cycles that count: arrays over them, and which of all cycles they are."""
+
+    chosen: np.ndarray  # (C,) of all cycles
+    number: FloatArray  # from 1 on
+    tops_kpa: FloatArray
+    feet_kpa: FloatArray
+    largest_deg: FloatArray
+    residual_deg: FloatArray
+    areas: FloatArray
+    area_by_shift: float
+
+    @classmethod
+    def of(cls, measured: MeasuredCycles, used: np.ndarray) -> _Used:
+        return cls(
+            chosen=used,
+            number=np.flatnonzero(used) + 1.0,
+            tops_kpa=measured.tops.kpa[used],
+            feet_kpa=measured.feet.kpa[used],
+            largest_deg=measured.largest.deg[used],
+            residual_deg=measured.residual.deg[used],
+            areas=measured.areas_deg_kpa[used],
+            area_by_shift=float(measured.area_by_shift[used].mean()),
+        )
+
+
+def _first_differs(measured: MeasuredCycles, sound: np.ndarray) -> bool:
+    """Whether the first cycle lies outside the prediction interval of the others in any of three numbers."""
+    compared = np.stack([measured.largest.deg, measured.residual.deg, measured.areas_deg_kpa], axis=1)[sound]
+    others = compared[1:]
+    if others.shape[0] < 3:
+        return False
+    spread = others.std(axis=0, ddof=1) * math.sqrt(1 + 1 / others.shape[0])
+    off = np.abs(compared[0] - others.mean(axis=0))
+    limit = student_quantile(1 - _APART_P / 2, others.shape[0] - 1) * spread
+    return bool(np.any(off > limit))
+
+
+def _values(
+    trial: TrialData, measured: MeasuredCycles, used: _Used, reasons: list[str], warnings: list[str]
+) -> DynamicNumbers:
+    shift = Estimate(0.0, trial.shift_sd_s)
+    shared_deg = Estimate(0.0, trial.angle_common_sd_deg)
+    tops = mean_of(used.tops_kpa)
+    pressure = combined(tops.value, [(1, tops), (1, _known(measured.tops.common_sd_kpa))])
+    drift, peak, largest_deg = _peak(used)
+    common_deg = _known(math.hypot(_known(measured.largest.common_sd_deg).sd, trial.angle_common_sd_deg))
+    response = combined(peak.value, [(1, peak), (1, common_deg)])
+    area = mean_of(used.areas)
+    ratio = _ratio(measured, used, pressure, response, largest_deg, common_deg, shift, warnings)
+    rectangle = area.value / ratio.value if ratio.value else NAN
+    warnings += _angle_warnings(measured, drift, area)
+    whole = np.isfinite(used.residual_deg)
+    residual = mean_of(used.residual_deg[whole])
+    residual_drift = Estimate(NAN)
+    if whole.sum() > 2:
+        residual_drift = line_through(used.number[whole], used.residual_deg[whole], 0.0)[0]
+    apart = reasons[0] == _APART
+    return DynamicNumbers(
+        cycles=tuple(_cycle_numbers(measured, p, reason, rectangle) for p, reason in enumerate(reasons)),
+        loops=tuple(loop for p, loop in enumerate(measured.loops) if used.chosen[p] or (apart and p == 0)),
+        cycles_used=tuple(int(number) for number in used.number),
+        first_cycle_apart=apart,
+        period_s=measured.train.period_s,
+        amplitude_kpa=float(np.mean(used.tops_kpa - used.feet_kpa)),
+        phase_s=measured.train.phase_s,
+        largest_pressure_kpa=pressure,
+        dynamic_response_deg=response,
+        hysteresis_deg_kpa=combined(area.value, [(1, area), (used.area_by_shift, shift)]),
+        hysteresis_ratio=ratio,
+        hysteresis_ratio_extremes=_extremes(used, whole, shift),
+        mid_width_deg=_width(measured, used, shift),
+        residual_angle_deg=combined(
+            residual.value, [(1, residual), (1, _known(measured.residual.common_sd_deg)), (1, shared_deg)]
+        ),
+        largest_angle_drift_deg=drift,
+        residual_angle_drift_deg=residual_drift,
+        ratio_per_frame_shift=used.area_by_shift * trial.frame_s / rectangle,
+        repeatability_deg=_repeatability_deg(trial, measured, used),
+        repeatability_hysteresis=_share_spread(used.areas),
+        warnings=tuple(warnings),
+    )
+
+
+def _peak(used: _Used) -> tuple[Estimate, Estimate, FloatArray]:
+    """Drift of the largest angle, the dynamic response, and the cycles' largest angles freed of a drift."""
+    if used.number.size < 4:
+        return Estimate(NAN), mean_of(used.largest_deg), used.largest_deg
+    drift, _ = line_through(used.number, used.largest_deg, 0.0)
+    if not drift.p_value() < _DRIFT_P:
+        return drift, mean_of(used.largest_deg), used.largest_deg
+    at = float(used.number[-1] if drift.value > 0 else used.number[0])
+    peak = line_through(used.number, used.largest_deg, at)[1]
+    return drift, peak, used.largest_deg + drift.value * (at - used.number)
+
+
+def _ratio(
+    measured: MeasuredCycles,
+    used: _Used,
+    pressure: Estimate,
+    response: Estimate,
+    largest_deg: FloatArray,
+    common_deg: Estimate,
+    shift: Estimate,
+    warnings: list[str],
+) -> Estimate:
+    """The paper's hysteresis ratio; NaN, and a warning, where its rectangle does not hold the loop."""
+    lowest_kpa = float(used.feet_kpa.mean())
+    if not pressure.value > 0 or lowest_kpa < -_BELOW_SHARE * pressure.value:
+        warnings.append(
+            f"negative pressure ({lowest_kpa:.1f} to {pressure.value:.1f} kPa): the paper's rectangle to the axes "
+            f"does not hold the loop, its hysteresis ratio is not given"
+        )
+        return Estimate(NAN)
+    if not response.value > 0:
+        warnings.append(
+            f"the largest angle is {response.value:.1f} deg, not above 0: no hysteresis ratio to the axes"
+        )
+        return Estimate(NAN)
+    ratio = hysteresis_ratio(float(used.areas.mean()), pressure.value, response.value)
+    rectangle = pressure.value * response.value
+    # Cycle by cycle to first order, so that what area and angle of a cycle have in common is seen.
+    per_cycle = mean_of(
+        used.areas / rectangle - ratio * (used.tops_kpa / pressure.value + largest_deg / response.value)
+    )
+    return combined(
+        ratio,
+        [
+            (1, per_cycle),
+            (used.area_by_shift / rectangle, shift),
+            (ratio / response.value, common_deg),
+            (ratio / pressure.value, _known(measured.tops.common_sd_kpa)),
+        ],
+    )
+
+
+def _angle_warnings(measured: MeasuredCycles, drift: Estimate, area: Estimate) -> list[str]:
+    found = []
+    if drift.p_value() < _DRIFT_P:
+        found.append(
+            f"the largest angle drifts by {drift.value:+.2f} deg per cycle: the dynamic response is that of the "
+            f"{'last' if drift.value > 0 else 'first'} cycle used, from the line through all"
+        )
+    if measured.largest.misfit_deg > 0:
+        found.append(
+            f"the angle near its largest is not smooth: the branches lie {measured.largest.misfit_deg:.2f} deg off "
+            f"the frames beyond their noise, which widens the interval"
+        )
+    if area.value < 0:
+        found.append(
+            "the loop runs the other way round (the angle leads the pressure): look at the clocks' shift"
+        )
+    return found
+
+
+def _extremes(used: _Used, whole: np.ndarray, shift: Estimate) -> Estimate:
+    """Ratio to the loop's own extremes: mean area over the rectangle of the cycles' mean extremes."""
+    if not whole.any():
+        return Estimate(NAN)
+    areas, tops, feet = used.areas[whole], used.tops_kpa[whole], used.feet_kpa[whole]
+    largest, residual = used.largest_deg[whole], used.residual_deg[whole]
+    pressures = (float(feet.mean()), float(tops.mean()))
+    angles = (float(residual.mean()), float(largest.mean()))
+    ratio = hysteresis_ratio_extremes(float(areas.mean()), pressures, angles)
+    if not math.isfinite(ratio):
+        return Estimate(NAN)
+    range_kpa, range_deg = pressures[1] - pressures[0], angles[1] - angles[0]
+    per_cycle = mean_of(
+        areas / (range_kpa * range_deg)
+        - ratio * ((tops - feet) / range_kpa + (largest - residual) / range_deg)
+    )
+    return combined(ratio, [(1, per_cycle), (used.area_by_shift / (range_kpa * range_deg), shift)])
+
+
+def _width(measured: MeasuredCycles, used: _Used, shift: Estimate) -> Estimate:
+    wide = used.chosen & np.isfinite(measured.widths_deg + measured.width_by_shift)
+    if not wide.any():
+        return Estimate(NAN)
+    width = mean_of(measured.widths_deg[wide])
+    return combined(width.value, [(1, width), (float(measured.width_by_shift[wide].mean()), shift)])
+
+
+def _cycle_numbers(measured: MeasuredCycles, place: int, reason: str, rectangle: float) -> CycleNumbers:
+    # A cycle that is refused keeps no number that its fault could have touched.
+    believable = reason in ("", _APART)
+    largest, residual, area, width = (
+        float(values[place]) if believable else NAN
+        for values in (
+            measured.largest.deg,
+            measured.residual.deg,
+            measured.areas_deg_kpa,
+            measured.widths_deg,
+        )
+    )
+    top, foot = float(measured.tops.kpa[place]), float(measured.feet.kpa[place])
+    start, end = float(measured.train.start_s[place]), float(measured.train.end_s[place])
+    cover = measured.coverage[place]
+    return CycleNumbers(
+        number=place + 1,
+        used=not reason,
+        reason=reason,
+        start_s=start,
+        turn_s=float(measured.train.turn_s[place]),
+        end_s=end,
+        period_s=end - start,
+        frames=cover.frames,
+        missing_frames=cover.missing,
+        longest_gap_s=cover.longest_gap_s,
+        pressure_min_kpa=foot,
+        pressure_max_kpa=top,
+        largest_angle_deg=largest,
+        residual_angle_deg=residual,
+        hysteresis_deg_kpa=area,
+        hysteresis_ratio=area / rectangle,
+        hysteresis_ratio_extremes=hysteresis_ratio_extremes(area, (foot, top), (residual, largest)),
+        mid_width_deg=width,
+    )
+
+
+def _repeatability_deg(trial: TrialData, measured: MeasuredCycles, used: _Used) -> float:
+    """RMS over the cycle's phase of the spread (sd) of the angle between the cycles used."""
+    if used.number.size < 2:
+        return NAN
+    known = np.isfinite(trial.angle_deg)
+    starts, ends = measured.train.start_s[used.chosen], measured.train.end_s[used.chosen]
+    at = np.linspace(starts, ends, _PHASES, endpoint=False, axis=1)
+    angles = np.interp(at, trial.time_s[known], trial.angle_deg[known])
+    return float(np.sqrt(np.mean(np.var(angles, axis=0, ddof=1))))
+
+
+def _share_spread(values: FloatArray) -> float:
+    """Standard deviation over the mean; NaN of one value or around 0."""
+    mean = float(values.mean())
+    return float(values.std(ddof=1)) / abs(mean) if values.size > 1 and mean else NAN
+
+
+def _known(sd: float) -> Estimate:
+    """A source of uncertainty whose standard deviation is known; one that could not be told adds nothing."""
+    return Estimate(0.0, sd if math.isfinite(sd) else 0.0)
+
+
+def _nothing(
+    train: CycleTrain,
+    warnings: list[str],
+    cycles: tuple[CycleNumbers, ...] = (),
+) -> DynamicNumbers:
+    """A trial without values: what is known of its wave, and why there is no more."""
+    unknown = Estimate(NAN)
+    return DynamicNumbers(
+        cycles=cycles,
+        loops=(),
+        cycles_used=(),
+        first_cycle_apart=False,
+        period_s=train.period_s,
+        amplitude_kpa=train.amplitude_kpa,
+        phase_s=train.phase_s,
+        largest_pressure_kpa=unknown,
+        dynamic_response_deg=unknown,
+        hysteresis_deg_kpa=unknown,
+        hysteresis_ratio=unknown,
+        hysteresis_ratio_extremes=unknown,
+        mid_width_deg=unknown,
+        residual_angle_deg=unknown,
+        largest_angle_drift_deg=unknown,
+        residual_angle_drift_deg=unknown,
+        ratio_per_frame_shift=NAN,
+        repeatability_deg=NAN,
+        repeatability_hysteresis=NAN,
+        warnings=tuple(warnings),
+    )

@@ -1,0 +1,174 @@
+"""Every complete cycle of a dynamic trial: its loop, its numbers, what the clocks' shift does to them, and whether
+it can be used.
+
+Cycles come from `cycles.py`, turns from `corner.py` and `branches.py`, the geometry of a loop from `hysteresis.py`;
+the trial's values and their intervals are `dynamic.py`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..types import FloatArray
+from .branches import TurningAngle, turning_angle
+from .corner import TurningPressure, turning_pressure
+from .cycles import CycleTrain
+from .hysteresis import loop_area_deg_kpa, mid_pressure_width_deg
+from .trial import TrialData
+
+# A gap that a straight line may bridge: 5 % of the cycle costs the area under 0.1 % (the loops are that smooth).
+_GAP_SHARE, _GAP_FRAMES = 0.05, 3.5
+_MISSING_SHARE = 0.25
+_FEWEST_FRAMES = 12
+# How far into the rest after the last cycle its foot is looked at, as a share of the period.
+_REST_SHARE = 0.1
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Frames in a cycle, those without an angle or a pressure, and the longest time without one and its start."""
+
+    frames: int
+    missing: int
+    longest_gap_s: float
+    gap_at_s: float
+
+
+@dataclass(frozen=True)
+class MeasuredCycles:
+    """The C complete cycles of a trial.
+
+    Attributes
+    ----------
+    train : where they are
+    coverage, refusals : (C,) frames of each, and why it cannot be used (empty where it can)
+    tops, feet : pressure where each turns, and where it ends
+    largest, residual : angle there
+    loops : (C,) arrays (N, 2) kPa and deg, ends interpolated, gaps bridged
+    areas_deg_kpa, widths_deg : (C,) cumulative hysteresis, and width at mid pressure
+    area_by_shift, width_by_shift : (C,) what they gain per second by which the pressure is taken later
+    """
+
+    train: CycleTrain
+    coverage: tuple[Coverage, ...]
+    refusals: tuple[str, ...]
+    tops: TurningPressure
+    feet: TurningPressure
+    largest: TurningAngle
+    residual: TurningAngle
+    loops: tuple[FloatArray, ...]
+    areas_deg_kpa: FloatArray
+    widths_deg: FloatArray
+    area_by_shift: FloatArray
+    width_by_shift: FloatArray
+
+
+def measure_cycles(trial: TrialData, train: CycleTrain) -> MeasuredCycles:
+    """Measure all complete cycles of a trial that has frames with both an angle and a pressure."""
+    frames = (trial.time_s, trial.angle_deg, trial.pressure_kpa, trial.pressure_rate_kpa_s)
+    log = (trial.log_time_s, trial.log_pressure_kpa)
+    tops = turning_pressure(*log, train.turn_s, train.period_s)
+    feet = turning_pressure(*log, train.end_s, train.period_s)
+    largest = turning_angle(*frames, tops, np.stack([train.start_s, train.end_s], axis=1))
+    until = np.append(train.turn_s[1:], train.end_s[-1] + _REST_SHARE * train.period_s)
+    residual = turning_angle(*frames, feet, np.stack([train.turn_s, until], axis=1))
+    coverage = tuple(_coverage(trial, s, e) for s, e in zip(train.start_s, train.end_s, strict=True))
+    curve = _Curve.of(trial)
+    bounds = list(zip(train.start_s.tolist(), train.turn_s.tolist(), train.end_s.tolist(), strict=True))
+
+    def areas(move_s: float) -> FloatArray:
+        return np.array([loop_area_deg_kpa(curve.between(start, end, move_s)) for start, _, end in bounds])
+
+    def widths(move_s: float) -> FloatArray:
+        return np.array(
+            [
+                mid_pressure_width_deg(
+                    curve.between(start, turn, move_s), curve.between(turn, end, move_s), foot, top
+                )
+                for (start, turn, end), foot, top in zip(bounds, feet.kpa, tops.kpa, strict=True)
+            ]
+        )
+
+    half_s = 0.5 * trial.frame_s
+    return MeasuredCycles(
+        train=train,
+        coverage=coverage,
+        refusals=tuple(
+            _refusal(trial, train, place, cover, bool(np.isfinite(largest.deg[place])))
+            for place, cover in enumerate(coverage)
+        ),
+        tops=tops,
+        feet=feet,
+        largest=largest,
+        residual=residual,
+        loops=tuple(curve.between(start, end) for start, _, end in bounds),
+        areas_deg_kpa=areas(0.0),
+        widths_deg=widths(0.0),
+        area_by_shift=(areas(half_s) - areas(-half_s)) / (2 * half_s),
+        width_by_shift=(widths(half_s) - widths(-half_s)) / (2 * half_s),
+    )
+
+
+@dataclass(frozen=True)
+class _Curve:
+    """The frames with an angle and a pressure, and all frames with a pressure."""
+
+    time_s: FloatArray
+    angle_deg: FloatArray
+    pressed_s: FloatArray
+    pressure_kpa: FloatArray
+
+    @classmethod
+    def of(cls, trial: TrialData) -> _Curve:
+        pressed = np.isfinite(trial.pressure_kpa)
+        known = pressed & np.isfinite(trial.angle_deg)
+        return cls(
+            trial.time_s[known], trial.angle_deg[known], trial.time_s[pressed], trial.pressure_kpa[pressed]
+        )
+
+    def between(self, start_s: float, end_s: float, move_s: float = 0.0) -> FloatArray:
+        """(N, 2) kPa and deg from start to end, both ends interpolated; the pressure of `move_s` later."""
+        first = int(np.searchsorted(self.time_s, start_s, side="right"))
+        last = max(int(np.searchsorted(self.time_s, end_s)), first)
+        around = slice(max(first - 1, 0), last + 1)
+        at = np.concatenate([[start_s], self.time_s[first:last], [end_s]])
+        pressure = np.interp(at + move_s, self.pressed_s, self.pressure_kpa)
+        return np.stack([pressure, np.interp(at, self.time_s[around], self.angle_deg[around])], axis=1)
+
+
+def _coverage(trial: TrialData, start_s: float, end_s: float) -> Coverage:
+    inside = (trial.time_s >= start_s) & (trial.time_s <= end_s)
+    known = inside & np.isfinite(trial.angle_deg) & np.isfinite(trial.pressure_kpa)
+    at = np.concatenate([[start_s], trial.time_s[known], [end_s]])
+    steps = np.diff(at)
+    longest = int(np.argmax(steps))
+    count = int(inside.sum())
+    return Coverage(count, count - int(known.sum()), float(steps[longest]), float(at[longest]))
+
+
+def _refusal(trial: TrialData, train: CycleTrain, place: int, cover: Coverage, has_angle: bool) -> str:
+    """Why a cycle cannot be used; empty where it can."""
+    start, end = float(train.start_s[place]), float(train.end_s[place])
+    first, last = float(trial.time_s[0]), float(trial.time_s[-1])
+    if start < first - 2 * trial.frame_s or end > last + 2 * trial.frame_s:
+        return f"the video covers {first:.2f} to {last:.2f} s, the cycle {start:.2f} to {end:.2f} s"
+    if np.any((trial.saturated_s >= start) & (trial.saturated_s <= end)):
+        return "the pressure sensor was saturated in it"
+    if cover.frames - cover.missing < _FEWEST_FRAMES:
+        known = cover.frames - cover.missing
+        return f"{known} frames with an angle and a pressure, fewer than {_FEWEST_FRAMES}"
+    if cover.longest_gap_s > max(_GAP_SHARE * (end - start), _GAP_FRAMES * trial.frame_s):
+        share = 100 * cover.longest_gap_s / (end - start)
+        return (
+            f"no angle or no pressure for {cover.longest_gap_s:.2f} s from {cover.gap_at_s:.2f} s on "
+            f"({share:.0f} % of the cycle)"
+        )
+    if cover.missing > _MISSING_SHARE * cover.frames:
+        return f"{cover.missing} of its {cover.frames} frames have no angle or no pressure"
+    if train.irregular[place]:
+        return train.irregular[place]
+    if not has_angle:
+        return "too few frames near the largest pressure to tell the largest angle"
+    return ""

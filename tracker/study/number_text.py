@@ -1,0 +1,44 @@
+"""How a number with its interval is written for people: in the report, in figures, in LaTeX tables."""
+
+from __future__ import annotations
+
+import math
+
+MISSING = "–"
+MINUS = "\u2212"
+# No line breaks within a value and its interval.
+_PLUS_MINUS = "\u00a0±\u00a0"
+
+
+def plain_number(value: float, decimals: int) -> str:
+    """A value with so many places, or a dash where it is missing.
+
+    >>> plain_number(-0.00004, 3), plain_number(float("nan"), 3), plain_number(-1.26, 1)
+    ('0.000', '–', '−1.3')
+    """
+    if not math.isfinite(value):
+        return MISSING
+    text = f"{value:.{decimals}f}"
+    if not text.strip("-0."):
+        text = text.lstrip("-")  # no minus zero
+    return text.replace("-", MINUS)
+
+
+def with_interval(value: float, low: float, high: float, decimals: int) -> str:
+    """A value and half the width of its interval, with as many places more as the half needs to be seen.
+
+    The value alone where there is no interval.
+
+    >>> with_interval(0.27912, 0.2756, 0.2826, 3).split()
+    ['0.279', '±', '0.004']
+    >>> with_interval(4.0, 3.983, 4.017, 1).split()
+    ['4.00', '±', '0.02']
+    >>> with_interval(45.44, float("nan"), float("nan"), 1)
+    '45.4'
+    """
+    half = (high - low) / 2
+    if not (math.isfinite(value) and math.isfinite(half)):
+        return plain_number(value, decimals)
+    if 0 < half < 0.5 * 10**-decimals:
+        decimals = math.ceil(-math.log10(2 * half))
+    return f"{plain_number(value, decimals)}{_PLUS_MINUS}{plain_number(half, decimals)}"

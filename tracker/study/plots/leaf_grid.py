@@ -1,0 +1,116 @@
+"""All leaves of a study: a panel for each frequency (rows) and pressure (columns), a colour for each design."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+import pandas as pd
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+
+from ...types import FloatArray
+from .leaf import mean_loop
+from .looks import Look
+from .page import PAGE_MM, house_style, limit_from_zero, new_figure, quiet_grid
+
+_ROW_MM = 46.0
+# Points a cycle: what a panel of a fifth of the page can show.
+_POINTS = 120
+
+
+def leaf_grid_figure(
+    dynamic: pd.DataFrame, loops: Mapping[str, Sequence[FloatArray]], looks: Mapping[str, Look]
+) -> Figure:
+    """Every dynamic trial's cycles, with the design's mark at the tip of its leaf.
+
+    Trials without a nominal frequency or pressure have no panel.
+
+    Parameters
+    ----------
+    dynamic : one row a trial, with trial, design, frequency_hz and pressure_pp_kpa
+    loops : (N, 2) of each cycle used, pressure in kPa and angle in degrees, by trial
+    """
+    shown = dynamic[[len(loops.get(name, ())) > 0 for name in dynamic["trial"]]]
+    shown = shown.dropna(subset=["frequency_hz", "pressure_pp_kpa"])
+    frequencies = sorted(shown["frequency_hz"].unique())
+    pressures = sorted(shown["pressure_pp_kpa"].unique())
+    with house_style():
+        n_rows, n_columns = max(len(frequencies), 1), max(len(pressures), 1)
+        figure = new_figure(PAGE_MM, _ROW_MM * n_rows + 14)
+        grid = figure.subplots(n_rows, n_columns, sharex=True, sharey="row", squeeze=False)
+        for row, frequency in enumerate(frequencies):
+            for column, pressure in enumerate(pressures):
+                axes = grid[row, column]
+                here = shown[(shown["frequency_hz"] == frequency) & (shown["pressure_pp_kpa"] == pressure)]
+                quiet_grid(axes, "both")
+                if here.empty:
+                    axes.text(0.5, 0.5, "no trial", transform=axes.transAxes, ha="center", color="0.6")
+                for trial in _in_order(here, looks):
+                    look = looks[str(trial["design"])]
+                    cycles = [_thinned(loop) for loop in loops[str(trial["trial"])]]
+                    # Tens of thousands of points: pixels within the PDF, at the resolution of the PNG.
+                    lines = LineCollection(
+                        cycles, colors=look.colour, linewidths=0.45, alpha=0.8, rasterized=True
+                    )
+                    axes.add_collection(lines, autolim=False)
+                    tip = _tip(mean_loop(cycles))
+                    axes.plot(
+                        *tip,
+                        marker=look.marker,
+                        color=look.colour,
+                        markeredgecolor=look.edge,
+                        markeredgewidth=0.6,
+                        markersize=4,
+                        zorder=5,
+                    )
+                if row == 0:
+                    axes.set_title(f"{pressure:g} kPa peak to peak", loc="center")
+                if column == 0:
+                    axes.set_ylabel(f"{frequency:g} Hz\nbending angle (°)")
+                if row == n_rows - 1:
+                    axes.set_xlabel("pressure (kPa)")
+        if len(shown):
+            pressures_kpa, _ = _extremes(shown["trial"], loops)
+            grid[0, 0].set_xlim(limit_from_zero(*pressures_kpa))
+        for row, frequency in enumerate(frequencies):
+            _, angles_deg = _extremes(shown.loc[shown["frequency_hz"] == frequency, "trial"], loops)
+            grid[row, 0].set_ylim(limit_from_zero(*angles_deg))
+        used = [look for name, look in looks.items() if name in set(shown["design"])]
+        figure.legend(
+            handles=[look.handle(line=False) for look in used],
+            loc="outside lower center",
+            ncols=min(len(used), 4) or 1,
+        )
+    return figure
+
+
+def _extremes(
+    names: Iterable[str], loops: Mapping[str, Sequence[FloatArray]]
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Lowest and highest pressure, and angle, of some trials' cycles."""
+    points = np.concatenate([loop for name in names for loop in loops[name]])
+    (low_kpa, low_deg), (high_kpa, high_deg) = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+    return (float(low_kpa), float(high_kpa)), (float(low_deg), float(high_deg))
+
+
+def _in_order(trials: pd.DataFrame, looks: Mapping[str, Look]) -> list[dict[str, object]]:
+    """Trials in the study's order of designs, so that what lies on top is the same in every panel."""
+    place = {name: index for index, name in enumerate(looks)}
+    return sorted(trials.to_dict("records"), key=lambda trial: place[str(trial["design"])])  # type: ignore[arg-type]
+
+
+def _thinned(loop: FloatArray) -> FloatArray:
+    step = max(len(loop) // _POINTS, 1)
+    rows = np.arange(0, len(loop), step)
+    # The largest angle is kept: the tip is what is looked at.
+    if np.isfinite(loop[:, 1]).any():
+        rows = np.union1d(rows, np.nanargmax(loop[:, 1]))
+    return loop[rows]
+
+
+def _tip(mean: FloatArray) -> tuple[float, float]:
+    if not np.isfinite(mean[:, 1]).any():
+        return float("nan"), float("nan")
+    place = int(np.nanargmax(mean[:, 1]))
+    return float(mean[place, 0]), float(mean[place, 1])

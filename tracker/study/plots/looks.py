@@ -1,0 +1,70 @@
+"""What tells the designs of a study apart in every figure: colour, marker and line style, never colour alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from matplotlib.colors import to_hex, to_rgb
+from matplotlib.lines import Line2D
+
+_MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "p", "h", "*")
+_LINES: tuple[str | tuple[float, tuple[float, ...]], ...] = (
+    "-",
+    (0, (5, 1.2)),
+    (0, (1.2, 1.1)),
+    (0, (5, 1.2, 1.2, 1.2)),
+    (0, (8, 1.5)),
+    (0, (3, 1, 1, 1, 1, 1)),
+    (0, (2.5, 1)),
+    (0, (8, 1.2, 2, 1.2)),
+)
+# How dark the edge of a mark is beside its colour, so that pale colours stand out from white too.
+_EDGE = 0.62
+
+
+@dataclass(frozen=True)
+class Look:
+    """How one design is drawn.
+
+    Attributes
+    ----------
+    label : its name in legends
+    colour : as the study file gives it, hex
+    edge : the same, darker
+    marker, line : told apart without colour
+    """
+
+    label: str
+    colour: str
+    edge: str
+    marker: str
+    line: str | tuple[float, tuple[float, ...]]
+
+    def handle(self, *, marker: bool = True, line: bool = True) -> Line2D:
+        """An entry for a legend."""
+        return Line2D(
+            [],
+            [],
+            color=self.colour,
+            linestyle=self.line if line else "none",
+            marker=self.marker if marker else "",
+            markersize=4,
+            markeredgecolor=self.edge,
+            markeredgewidth=0.6,
+            label=self.label,
+        )
+
+
+def looks_of(designs: Iterable[tuple[str, str, str]]) -> dict[str, Look]:
+    """The look of each design, given (name, label, colour) in the study's order, by name."""
+    return {
+        name: Look(
+            label=label,
+            colour=to_hex(colour),
+            edge=to_hex([_EDGE * part for part in to_rgb(colour)]),
+            marker=_MARKERS[place % len(_MARKERS)],
+            line=_LINES[place % len(_LINES)],
+        )
+        for place, (name, label, colour) in enumerate(designs)
+    }

@@ -1,0 +1,107 @@
+"""Hysteresis ratio against largest angle, and the vertical line at which two designs are compared."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from .looks import Look
+from .page import INK, PAGE_MM, QUIET, house_style, new_figure, quiet_grid
+
+
+def ratio_angle_figure(dynamic: pd.DataFrame, comparisons: pd.DataFrame, looks: Mapping[str, Look]) -> Figure:
+    """A panel for each frequency: the trials of a design joined in the order of their largest angle.
+
+    Parameters
+    ----------
+    dynamic : one row a trial, with design, frequency_hz, dynamic_response_deg, hysteresis_ratio, _low and _high
+    comparisons : at most one row a frequency, with frequency_hz, angle_deg, baseline, design, baseline_ratio,
+        design_ratio, improvement (a share)
+    """
+    frequencies = sorted(dynamic["frequency_hz"].dropna().unique())
+    with house_style():
+        figure = new_figure(PAGE_MM, 76)
+        grid = figure.subplots(1, max(len(frequencies), 1), sharey=True, squeeze=False)[0]
+        for axes, frequency in zip(grid, frequencies, strict=False):
+            here = dynamic[dynamic["frequency_hz"] == frequency].sort_values("dynamic_response_deg")
+            for name, look in looks.items():
+                _draw_design(axes, here[here["design"] == name], look)
+            axes.set_title(f"{frequency:g} Hz", loc="center")
+            axes.set_xlabel("largest bending angle (°)")
+            quiet_grid(axes, "both")
+            axes.set_xlim(left=0)
+        for axes, frequency in zip(grid, frequencies, strict=False):
+            for comparison in comparisons[comparisons["frequency_hz"] == frequency].to_dict("records"):
+                _draw_comparison(axes, comparison, looks)
+        grid[0].set_ylabel("hysteresis ratio")
+        used = [look for name, look in looks.items() if name in set(dynamic["design"])]
+        figure.legend(
+            handles=[look.handle() for look in used], loc="outside lower center", ncols=min(len(used), 4) or 1
+        )
+    return figure
+
+
+def _draw_design(axes: Axes, trials: pd.DataFrame, look: Look) -> None:
+    if trials.empty:
+        return
+    x, y = (trials[column].to_numpy(float) for column in ("dynamic_response_deg", "hysteresis_ratio"))
+    axes.plot(x, y, color=look.colour, linestyle=look.line, linewidth=1.0, zorder=3, label=look.label)
+    whiskers = {
+        f"{axis}err": np.abs([values - trials[f"{column}_low"], trials[f"{column}_high"] - values])
+        for axis, column, values in (("x", "dynamic_response_deg", x), ("y", "hysteresis_ratio", y))
+    }
+    axes.errorbar(x, y, **whiskers, linestyle="none", color=look.edge, linewidth=0.6, capsize=1.2, zorder=3.5)
+    axes.plot(
+        x,
+        y,
+        linestyle="none",
+        marker=look.marker,
+        markersize=4,
+        color=look.colour,
+        markeredgecolor=look.edge,
+        markeredgewidth=0.6,
+        zorder=4,
+    )
+
+
+def _draw_comparison(axes: Axes, best: Mapping[str, Any], looks: Mapping[str, Look]) -> None:
+    """A dashed line at the angle of a comparison and both crossings, as the paper shows it."""
+    angle, ratios = float(best["angle_deg"]), (float(best["baseline_ratio"]), float(best["design_ratio"]))
+    axes.axvline(angle, color=INK, linewidth=0.8, linestyle=(0, (4, 2.5)), zorder=2)
+    for ratio in ratios:
+        axes.plot([0, angle], [ratio, ratio], color=QUIET, linewidth=0.5, linestyle=(0, (1.5, 1.5)), zorder=2)
+        axes.plot(
+            angle,
+            ratio,
+            marker="o",
+            markersize=6.5,
+            color="none",
+            markeredgecolor=INK,
+            markeredgewidth=0.9,
+            zorder=6,
+        )
+        axes.annotate(
+            f"{ratio:.3f}", (0, ratio), xytext=(3, 1.5), textcoords="offset points", va="bottom", zorder=6
+        )
+    better, other = looks[best["design"]].label, looks[best["baseline"]].label
+    label = f"at {angle:g}°: {-100 * best['improvement']:+.1f} %\n{better}\nagainst {other}".replace(
+        "-", "\u2212", 1
+    )
+    left = angle > 0.5 * axes.get_xlim()[1]
+    axes.annotate(
+        label,
+        (angle, 1.0),
+        xycoords=("data", "axes fraction"),
+        xytext=(-4 if left else 4, -1),
+        textcoords="offset points",
+        ha="right" if left else "left",
+        va="top",
+        linespacing=1.35,
+        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.0},
+        zorder=6,
+    )

@@ -1,0 +1,51 @@
+"""The typeface of the figures: matplotlib's own DejaVu Sans, cut down once so that embedding it again is quick.
+
+A study has a hundred PDFs. Embedding the whole font's layout tables costs more than drawing a figure does.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from functools import cache
+from pathlib import Path
+
+from fontTools import subset
+from matplotlib import font_manager
+
+WHOLE_FAMILY = "DejaVu Sans"
+_FAMILY = "DejaVu Sans (figures)"
+# Latin with its accents, Greek, dashes and quotes, signs of mathematics. Others are taken from the whole font.
+_RANGES = (
+    (0x20, 0x17F),
+    (0x391, 0x3C9),
+    (0x2010, 0x203A),
+    (0x2070, 0x209C),
+    (0x2190, 0x2193),
+    (0x2212, 0x2265),
+)
+_FAMILY_IDS = (1, 16)  # of OpenType's name table
+
+
+@cache
+def figure_families() -> tuple[str, ...]:
+    """Font families for `font.sans-serif`, made known to matplotlib: the small one, then the whole one."""
+    options = subset.Options(layout_features=[], name_IDs=["*"], glyph_names=False)
+    options.drop_tables += ["GDEF", "GPOS", "GSUB", "kern", "FFTM"]
+    font = subset.load_font(font_manager.findfont(WHOLE_FAMILY), options)
+    cutter = subset.Subsetter(options)
+    cutter.populate(unicodes=[code for first, last in _RANGES for code in range(first, last + 1)])
+    cutter.subset(font)
+    for record in font["name"].names:
+        if record.nameID in _FAMILY_IDS:
+            record.string = _FAMILY
+    path = Path(_folder().name) / "figures.ttf"
+    subset.save_font(font, str(path), options)
+    font.close()
+    font_manager.fontManager.addfont(path)
+    return _FAMILY, WHOLE_FAMILY
+
+
+@cache
+def _folder() -> tempfile.TemporaryDirectory[str]:
+    """A folder that is there until the program ends: matplotlib opens the font whenever it draws."""
+    return tempfile.TemporaryDirectory(prefix="bendtrack-font-")

@@ -1,0 +1,273 @@
+"""The report of a study: figures, tables and one self-contained HTML page, written into a folder.
+
+What is said is `findings.py`, `methods.py` and `paper_tables.py`; how the page is set is `report_page.html` and
+`report_parts.py`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+import string
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from html import escape
+from importlib import resources
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from ..atomic import atomic_write_text
+from ..errors import ResultsError
+from ..results import json_ready
+from .analysis import StudyResults
+from .findings import main_findings
+from .latex import latex_table
+from .methods import DEFINITIONS, methods_text
+from .number_text import plain_number
+from .paper_tables import PaperTable, amount, interval_of, paper_tables
+from .plots.figure_set import WrittenFigure, start_trial_sheets, write_study_figures
+from .plots.looks import looks_of
+from .report_parts import (
+    Part,
+    contents_html,
+    definitions_html,
+    figure_html,
+    folded_html,
+    key_html,
+    list_html,
+    paragraph_html,
+    part_html,
+    table_html,
+)
+from .study_file import Study
+from .tables import write_csv_tables
+from .trial import Kind, TrialData
+
+# Where each figure and each table of the paper stands in the report.
+_PLACES: tuple[tuple[str, str, tuple[str, ...], tuple[str, ...]], ...] = (
+    (
+        "Hysteresis",
+        "hysteresis",
+        ("hysteresis_ratio_at_one_angle",),
+        ("leaf", "leaves", "ratio_against_angle"),
+    ),
+    ("Dynamic response", "response", ("dynamic_response",), ("bars",)),
+    ("Ranking", "ranking", ("ranking",), ()),
+    ("Static curves", "static", ("static_against_model",), ("static_curves",)),
+    ("Pressure control", "control", ("control",), ("control_tracking",)),
+    ("All dynamic trials", "dynamic-trials", ("dynamic_trials",), ("time_series",)),
+)
+_LIBRARIES = ("bendtrack", "numpy", "scipy", "pandas", "matplotlib")
+
+
+def write_report(
+    results: StudyResults, trials: Sequence[TrialData], study: Study, out_dir: str | Path, *, workers: int = 0
+) -> Path:
+    """Write figures/*.pdf and *.png, tables/*.csv and *.tex, and report.html, each whole or not at all.
+
+    The page holds its pictures and asks for nothing from elsewhere: it can be mailed or kept.
+
+    Parameters
+    ----------
+    trials : those that `results` come from
+    workers : processes that draw the trials' own figures beside this one; 0 for none. Each starts a Python of its
+        own, so a script that asks for them needs the usual `if __name__ == "__main__":`.
+
+    Returns
+    -------
+    report.html
+
+    Raises
+    ------
+    ResultsError
+        A file or folder cannot be written.
+    """
+    out = Path(out_dir)
+    try:
+        for folder in ("figures/trials", "tables"):
+            (out / folder).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ResultsError(f"{out}: cannot be written ({error.strerror or error})") from error
+    looks = looks_of((name, design.label, design.colour) for name, design in study.designs.items())
+    labels = {name: design.label for name, design in study.designs.items()}
+    with start_trial_sheets(results, trials, looks, out / "figures" / "trials", workers) as sheets:
+        figures = write_study_figures(results, trials, looks, out / "figures", baseline=results.baseline)
+        tables = paper_tables(results, labels)
+        _write_tables(results, tables, out / "tables")
+        trial_sheets = sheets.collect()
+    page = _page(results, trials, study, figures, tables, trial_sheets)
+    path = out / "report.html"
+    _write(path, page)
+    return path
+
+
+def _write_tables(results: StudyResults, tables: Sequence[PaperTable], folder: Path) -> None:
+    frames = {field.name: getattr(results, field.name) for field in fields(results)}
+    write_csv_tables(
+        {name: frame for name, frame in frames.items() if isinstance(frame, pd.DataFrame)}, folder
+    )
+    for table in tables:
+        _write(folder / f"{table.name}.tex", latex_table(table))
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        atomic_write_text(path, text)
+    except OSError as error:
+        raise ResultsError(f"{path}: cannot be written ({error.strerror or error})") from error
+
+
+def _page(
+    results: StudyResults,
+    trials: Sequence[TrialData],
+    study: Study,
+    figures: Sequence[WrittenFigure],
+    tables: Sequence[PaperTable],
+    sheets: Mapping[str, WrittenFigure],
+) -> str:
+    labels = {name: design.label for name, design in study.designs.items()}
+    numbers = {figure.name: number for number, figure in enumerate(_in_page_order(figures), start=1)}
+    parts = [Part("Summary", "summary", list_html(main_findings(results, labels), "findings"))]
+    for heading, anchor, table_names, figure_names in _PLACES:
+        shown = [table_html(table) for table in tables if table.name in table_names]
+        shown += [
+            _figure_html(figure, f"Figure {numbers[figure.name]}.")
+            for name in figure_names
+            for figure in figures
+            if figure.name == name
+        ]
+        if shown:
+            parts.append(Part(heading, anchor, "\n".join(shown)))
+    parts.append(_trials_part(results, trials, labels, sheets))
+    methods = "".join(paragraph_html(text) for text in methods_text(results))
+    definitions = Part("Definitions", "definitions", definitions_html(DEFINITIONS))
+    parts.append(Part("What was done", "methods", methods, (definitions,)))
+    parts.append(_provenance_part(trials, study))
+    used = [study.designs[name] for name in study.designs if any(trial.design == name for trial in trials)]
+    page = string.Template(
+        resources.files(__package__).joinpath("report_page.html").read_text(encoding="utf-8")
+    )
+    return page.substitute(
+        version=escape(version("bendtrack")),
+        title=escape(study.title),
+        subtitle=escape(_subtitle(results, trials)),
+        key=key_html([(design.label, design.colour) for design in used]),
+        contents=contents_html(parts),
+        body="\n".join(part_html(part) for part in parts),
+        footer=escape(
+            f"Written by bendtrack {version('bendtrack')}. Every figure lies beside this page in figures/ "
+            f"(PDF, PNG at 300 dpi), every table in tables/ (CSV, LaTeX)."
+        ),
+    )
+
+
+def _in_page_order(figures: Sequence[WrittenFigure]) -> list[WrittenFigure]:
+    order = [name for *_, names in _PLACES for name in names]
+    return sorted(figures, key=lambda figure: order.index(figure.name))
+
+
+def _figure_html(figure: WrittenFigure, number: str) -> str:
+    return figure_html(
+        figure.png,
+        name=number,
+        alt=figure.caption,
+        caption=f"{figure.caption} (figures/{figure.name}.pdf)",
+        css_class="column" if figure.narrow else "",
+    )
+
+
+def _subtitle(results: StudyResults, trials: Sequence[TrialData]) -> str:
+    counts = {kind: sum(trial.kind is kind for trial in trials) for kind in Kind}
+    said = [_counted(len({trial.design for trial in trials}), "design")]
+    if counts[Kind.DYNAMIC]:
+        used = int(results.cycles["used"].sum())
+        said.append(f"{_counted(counts[Kind.DYNAMIC], 'dynamic trial')} with {_counted(used, 'cycle')} used")
+    if counts[Kind.STATIC]:
+        said.append(_counted(counts[Kind.STATIC], "static trial"))
+    said.append(_counted(sum(len(trial.time_s) for trial in trials), "frame"))
+    return " · ".join(said)
+
+
+def _counted(number: int, thing: str) -> str:
+    return f"{number:,} {thing}{'' if number == 1 else 's'}".replace(",", "\u202f")
+
+
+def _trials_part(
+    results: StudyResults,
+    trials: Sequence[TrialData],
+    labels: Mapping[str, str],
+    sheets: Mapping[str, WrittenFigure],
+) -> Part:
+    """Every trial, folded: its sheet, its warnings, how its clocks were brought together."""
+    said = results.warnings.groupby("trial")["warning"].apply(list).to_dict() if len(results.warnings) else {}
+    values = {row["trial"]: row for row in results.dynamic.to_dict("records")}
+    folded: dict[str, list[str]] = {}
+    for number, trial in enumerate(trials, start=1):
+        warnings = said.get(trial.name, [])
+        sheet = sheets[trial.name]
+        content = list_html(warnings, "warnings") + figure_html(
+            sheet.png,
+            name="",
+            alt=f"{trial.name}: bending angle and pressure over time, and angle against pressure",
+            caption=f"{_clock_words(trial)} (figures/{sheet.name}.pdf)",
+        )
+        nominal = [
+            amount(float(value), unit)
+            for value, unit in ((trial.frequency_hz, "Hz"), (trial.pressure_pp_kpa, "kPa"))
+            if value is not None
+        ]
+        aside = [trial.kind.value, *nominal]
+        if (
+            trial.name in values
+            and values[trial.name]["hysteresis_ratio"] == values[trial.name]["hysteresis_ratio"]
+        ):
+            aside.append(f"ratio {interval_of(values[trial.name], 'hysteresis_ratio', 3)}")
+        mark = _counted(len(warnings), "warning") if warnings else ""
+        folded.setdefault(trial.design, []).append(
+            folded_html(trial.name, ", ".join(aside), mark, content, f"trial-{number}")
+        )
+    parts = tuple(
+        Part(labels[design], f"design-{place}", "\n".join(items))
+        for place, (design, items) in enumerate(folded.items(), start=1)
+    )
+    count = _counted(len(results.warnings), "warning")
+    return Part(
+        "Trials and warnings",
+        "trials",
+        paragraph_html(f"{count} in {_counted(len(said), 'trial')}. A line opens with a click."),
+        parts,
+    )
+
+
+def _clock_words(trial: TrialData) -> str:
+    shift = trial.shift
+    return (
+        f"Clocks by {shift.method}: video time = log time {plain_number(shift.delay_s, 4)} s, "
+        f"± {plain_number(trial.shift_sd_s, 4)} s (one standard deviation)."
+    )
+
+
+def _provenance_part(trials: Sequence[TrialData], study: Study) -> Part:
+    try:
+        study_hash = hashlib.sha256(study.path.read_bytes()).hexdigest()
+    except OSError:
+        study_hash = "not read"
+    facts = [
+        ("Study file", f"{study.path.name}, SHA-256 {study_hash}", ""),
+        ("Versions", ", ".join(f"{name} {version(name)}" for name in _LIBRARIES), ""),
+        ("Python", f"{platform.python_version()}, {platform.system()} {platform.machine()}", ""),
+    ]
+    entries = "".join(
+        folded_html(trial.name, "", "", _json_html(trial.provenance), f"source-{number}")
+        for number, trial in enumerate(trials, start=1)
+    )
+    files = Part("Files and settings of each trial", "sources", entries)
+    return Part("Provenance", "provenance", definitions_html(facts), (files,))
+
+
+def _json_html(values: Mapping[str, Any]) -> str:
+    return f"<pre><code>{escape(json.dumps(json_ready(dict(values)), indent=1, ensure_ascii=False))}</code></pre>"

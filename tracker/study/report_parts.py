@@ -1,0 +1,113 @@
+"""Pieces of the HTML report: tables, figures, lists, the table of contents. All text that comes in is escaped here.
+
+A function that returns HTML has a name that ends in `_html`; everything else is text.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from html import escape
+
+from .paper_tables import PaperTable
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of the report: its heading, its address within the page, its content as HTML, and its own parts."""
+
+    heading: str
+    anchor: str
+    content_html: str
+    parts: tuple[Part, ...] = ()
+
+
+def contents_html(parts: Iterable[Part]) -> str:
+    """The table of contents, two levels deep."""
+    items = []
+    for part in parts:
+        inner = contents_html(part.parts) if part.parts else ""
+        items.append(f'<li><a href="#{escape(part.anchor)}">{escape(part.heading)}</a>{inner}</li>')
+    return f"<ol>{''.join(items)}</ol>"
+
+
+def part_html(part: Part, level: int = 2) -> str:
+    """A part with its heading, and the parts in it one level lower."""
+    heading = f'<h{level} id="{escape(part.anchor)}">{escape(part.heading)}</h{level}>'
+    return "\n".join([heading, part.content_html, *(part_html(inner, level + 1) for inner in part.parts)])
+
+
+def paragraph_html(text: str, css_class: str = "") -> str:
+    """A paragraph of plain text."""
+    return f"<p{_class(css_class)}>{escape(text)}</p>"
+
+
+def list_html(texts: Iterable[str], css_class: str = "") -> str:
+    """A list of plain texts; nothing for no texts."""
+    items = "".join(f"<li>{escape(text)}</li>" for text in texts)
+    return f"<ul{_class(css_class)}>{items}</ul>" if items else ""
+
+
+def definitions_html(entries: Iterable[tuple[str, str, str]]) -> str:
+    """Terms with what they mean and, where there is one, their formula: (term, text, formula)."""
+    lines = []
+    for term, text, formula in entries:
+        shown = f'<span class="formula">{escape(formula)}</span>' if formula else ""
+        lines.append(f"<dt>{escape(term)}</dt><dd>{escape(text)}{shown}</dd>")
+    return f"<dl>{''.join(lines)}</dl>"
+
+
+def table_html(table: PaperTable, *, rows_in_view: int = 16) -> str:
+    """A table with its caption and note; one with more rows scrolls under its headings."""
+    classes = ["n" if column.numeric else "" for column in table.columns]
+    heads = "".join(
+        f'<th scope="col"{_class(css)}>{escape(column.heading)}</th>'
+        for column, css in zip(table.columns, classes, strict=True)
+    )
+    body = []
+    before = ""
+    for place, row in enumerate(table.rows):
+        again = table.grouped and row[0] == before
+        turn = table.grouped and place > 0 and not again
+        own = [f"{classes[0]} again".strip() if again else classes[0], *classes[1:]]
+        cells = "".join(f"<td{_class(css)}>{escape(cell)}</td>" for cell, css in zip(row, own, strict=True))
+        body.append(f"<tr{_class('turn' if turn else '')}>{cells}</tr>")
+        before = row[0]
+    tall = " tall" if len(table.rows) > rows_in_view else ""
+    note = paragraph_html(table.note, "note") if table.note else ""
+    return (
+        f'<div class="scroll{tall}" tabindex="0"><table><caption>{escape(table.caption)}</caption>'
+        f"<thead><tr>{heads}</tr></thead><tbody>{''.join(body)}</tbody></table></div>{note}"
+    )
+
+
+def figure_html(png: bytes, *, name: str, alt: str, caption: str, css_class: str = "") -> str:
+    """A picture within the page, with its file's name in the caption."""
+    data = base64.b64encode(png).decode("ascii")
+    lead = f"<b>{escape(name)}</b> " if name else ""
+    return (
+        f'<figure{_class(css_class)}><img loading="lazy" decoding="async" alt="{escape(alt)}" '
+        f'src="data:image/png;base64,{data}"><figcaption>{lead}{escape(caption)}</figcaption></figure>'
+    )
+
+
+def key_html(entries: Sequence[tuple[str, str]]) -> str:
+    """The designs' colours: (label, "#rrggbb")."""
+    items = "".join(
+        f'<li><i style="background:{escape(colour)}"></i>{escape(label)}</li>' for label, colour in entries
+    )
+    return f'<ul class="key">{items}</ul>' if items else ""
+
+
+def folded_html(heading: str, aside: str, mark: str, content_html: str, anchor: str) -> str:
+    """A line that opens: heading, something quiet beside it, a mark at its end where there is something to see."""
+    marked = f'<span class="mark">{escape(mark)}</span>' if mark else ""
+    return (
+        f'<details id="{escape(anchor)}"><summary><span>{escape(heading)}</span>'
+        f'<span class="sub">{escape(aside)}</span>{marked}</summary>{content_html}</details>'
+    )
+
+
+def _class(name: str) -> str:
+    return f' class="{escape(name)}"' if name else ""

@@ -1,0 +1,31 @@
+"""Every table of a study's results as a CSV file: tidy, one header row, units in the column names, full precision."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import pandas as pd
+
+from ..atomic import atomic_path
+from ..errors import ResultsError
+
+
+def write_csv_tables(tables: Mapping[str, pd.DataFrame], folder: str | Path) -> list[Path]:
+    """Write each table to `folder`/<name>.csv, whole or not at all; NaN is an empty cell.
+
+    Raises
+    ------
+    ResultsError
+        A file cannot be written.
+    """
+    paths = []
+    for name, table in tables.items():
+        path = Path(folder) / f"{name}.csv"
+        try:
+            with atomic_path(path) as temporary:
+                table.to_csv(temporary, index=False, lineterminator="\n", encoding="utf-8")
+        except OSError as error:
+            raise ResultsError(f"{path}: cannot be written ({error.strerror or error})") from error
+        paths.append(path)
+    return paths
