@@ -75,6 +75,9 @@ class Watch:
         queue: asyncio.Queue[Mapping[str, Any]] = asyncio.Queue(_EVENTS_WAITING)
         self._pages.add(queue)
         try:
+            if self._seen is None:  # who fetches the list after the hello misses nothing
+                with suppress(LabelError, OSError):
+                    self._seen = await run_in_threadpool(self._look)
             yield _line(hello)
             silent_s = 0.0
             while not self._stopping():

@@ -82,7 +82,7 @@ export class Desk {
     const row = this.#list.get(id);
     if (!row) return;
     try {
-      const frame = await get(row.url);
+      const frame = await this.#latest(row);
       this.#list.update(frame);
       const unsent = this.#queue.latest(id);
       const changed = frame.revision !== this.#open.frame?.revision;
@@ -98,11 +98,11 @@ export class Desk {
   async refreshGhosts() {
     const row = this.#list.get(this.#open.frame?.id);
     if (!row || this.#open.isRepeat) return;
-    const frame = await get(row.url).catch(() => null);
+    const frame = await this.#latest(row).catch(() => null);
     if (frame) this.#open.adopt(frame, this.#queue.latest(frame.id)?.body);
   }
 
-  /** Wait for nothing else: another frame is being opened by someone else (a repeat). */
+  /** Let go of a frame that is on its way: something else is shown. */
   leave() {
     this.#attempt++;
     byId("loading").hidden = true;
@@ -111,12 +111,21 @@ export class Desk {
   /** A frame object; while the server is away, what is known of it here, so that labelling goes on. */
   async #fetched(row) {
     try {
-      const frame = await get(row.url);
+      const frame = await this.#latest(row);
       this.#list.update(frame);
       return frame;
     } catch (error) {
       if (!(error instanceof Unreachable) || !row.points) throw error;
       return { ghosts: {}, ghost_source: null, previous: null, prefetch: [], ...row };
+    }
+  }
+
+  /** Not from before an edit that was saved while the answer was on its way. */
+  async #latest(row) {
+    for (;;) {
+      const count = this.#queue.savedCount;
+      const frame = await get(row.url);
+      if (count === this.#queue.savedCount) return frame;
     }
   }
 

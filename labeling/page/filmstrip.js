@@ -105,6 +105,18 @@ export class Filmstrip {
       current.scrollIntoView({ block: "nearest" });
     } else if (rows.length) this.#nodes.get(rows[0].id).tabIndex = 0;
     this.#updateCounts();
+    this.#showModel();
+  }
+
+  /** What the network is doing, while it is doing it. */
+  #showModel() {
+    const model = this.#list.model;
+    const words = {
+      loading: "The network is being loaded…",
+      working: `The network looks at the frames: ${model?.done} of ${model?.total}`,
+      failed: `The network cannot be used${model?.reason ? `: ${model.reason}` : "."}`,
+    };
+    byId("model-state").textContent = words[model?.state] ?? "";
   }
 
   #noneWords() {

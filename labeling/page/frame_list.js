@@ -7,7 +7,7 @@ export const FILTERS = {
   worst: (row) => row.model_px !== null,
 };
 
-export function isToDo(row) {
+function isToDo(row) {
   return row.state === "unlabelled" || row.state === "partial";
 }
 

@@ -190,21 +190,18 @@ async function start() {
     }
     hideEmpty();
     if (list.get(open.frame?.id)) return;
-    const wanted = decodeURIComponent(location.hash.slice(1));
-    await desk.go(list.get(wanted) ? wanted : (frames.next ?? list.rows[0].id));
+    const wanted = [desk.current, decodeURIComponent(location.hash.slice(1))].find((id) => list.get(id));
+    await desk.go(wanted ?? frames.next ?? list.rows[0].id);
     if (document.activeElement === document.body) byId("stage").focus({ preventScroll: true });
   }
 
-  let serverSeen = false;
   listen({
     async connected() {
       setBannerUnlessRepeating(null);
       queue.setConnected(true);
-      if (serverSeen) {
-        await openFirst().catch(() => {});
-        if (open.frame) desk.refresh(open.frame.id);
-      }
-      serverSeen = true;
+      // What happened while nobody listened, be it since the list was fetched a moment ago.
+      await openFirst().catch(() => {});
+      if (open.frame) desk.refresh(open.frame.id);
     },
     async lost() {
       queue.setConnected(false);

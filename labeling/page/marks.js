@@ -7,8 +7,7 @@ const RADIUS_PX = 7;
 const LETTERS = '600 11.5px system-ui, -apple-system, "Segoe UI", sans-serif';
 const NUMBER = '700 17px system-ui, -apple-system, "Segoe UI", sans-serif';
 
-/** scene: {view, keypoints, points, definition, skeleton, angleDeg, selected, ghosts, ghostsShown, doubts, cursor,
- *  aimed, pointLess} as `scene.js` makes it. */
+/** scene: as `makeScene` gives it. */
 export function drawMarks(context, scene) {
   const shown = scene.keypoints
     .map((name, index) => ({ name, index, xy: scene.points[name] }))

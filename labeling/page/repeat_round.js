@@ -7,6 +7,8 @@ import { say, setBanner } from "./message.js";
 
 export class RepeatRound {
   active = false;
+  #spread = null;
+  #desk;
   #open;
   #queue;
   #cache;
@@ -15,14 +17,15 @@ export class RepeatRound {
   #done = 0;
 
   /** finished(spread|null): the round is over. */
-  constructor({ open, queue, cache, stage, finished }) {
+  constructor({ desk, open, queue, cache, stage, finished }) {
+    this.#desk = desk;
     this.#open = open;
     this.#queue = queue;
     this.#cache = cache;
     this.#stage = stage;
     this.#finished = finished;
     queue.addEventListener("saved", ({ detail }) => {
-      if (detail.edit.kind === "repeat") this.spread = detail.answer.spread;
+      if (detail.edit.kind === "repeat") this.#spread = detail.answer.spread;
     });
   }
 
@@ -41,6 +44,7 @@ export class RepeatRound {
       return this.leave();
     }
     this.active = true;
+    this.#desk.leave();
     document.body.classList.add("repeating");
     this.#open.open({ ...frame, repeat: true, revision: null }, frame.keypoints);
     setBanner(
@@ -77,7 +81,7 @@ export class RepeatRound {
     document.body.classList.remove("repeating");
     setBanner(null);
     byId("stage").focus({ preventScroll: true });
-    this.#finished(this.#done ? (this.spread ?? null) : null);
+    this.#finished(this.#done ? this.#spread : null);
     this.#done = 0;
   }
 }

@@ -12,6 +12,8 @@ const RETRIED_STATUS = new Set([401, 403, 408, 429, 503]);
 
 /** Events: "status" (see `status`), "saved" {edit, answer}, "conflict" {id}, "refused" {edit, error}. */
 export class SaveQueue extends EventTarget {
+  /** How many edits have been saved; a frame fetched while this changed may be an old one. */
+  savedCount = 0;
   #key;
   #send;
   #edits = [];
@@ -160,6 +162,7 @@ export class SaveQueue extends EventTarget {
   }
 
   #done(edit, answer) {
+    this.savedCount++;
     this.#edits = this.#edits.filter((other) => other !== edit);
     const following = this.#edits.find((other) => other.id === edit.id);
     if (following && following.base_revision === null) {

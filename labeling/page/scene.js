@@ -8,7 +8,7 @@ const DOUBT_PX = 4;
 const DOUBT_AT_DIAGONAL_PX = 800;
 const DOUBT_SD = 3;
 
-/** project: as the server gives it; desk: {open, view, pointer, options}. */
+/** project: as the server gives it; the rest: the parts of the page that know what is to be seen. */
 export function makeScene(project, { open, view, pointer, options }) {
   const definition = project.definition;
   const ghosts = open.isRepeat ? {} : (open.frame?.ghosts ?? {});

@@ -16,7 +16,7 @@ export class Stage {
   #scene;
   #dirty = new Set();
 
-  /** scene(): what is to be drawn, for `drawMarks`; loupe: {at, shown} is asked of it too. */
+  /** scene(): what there is to draw, see `makeScene`. */
   constructor(root, view, scene) {
     this.#root = root;
     this.#picture = root.querySelector("#picture");

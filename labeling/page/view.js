@@ -48,12 +48,8 @@ export class View extends EventTarget {
 
   /** Zoom, with what lies at a screen position staying there. */
   zoomAt([x, y], factor) {
-    this.zoomTo([x, y], this.scale * factor);
-  }
-
-  zoomTo([x, y], scale) {
     const least = Math.min(this.#fittingScale(), 1) / 2;
-    const next = Math.min(Math.max(scale, least), MAX_SCALE);
+    const next = Math.min(Math.max(this.scale * factor, least), MAX_SCALE);
     this.left = x - ((x - this.left) * next) / this.scale;
     this.top = y - ((y - this.top) * next) / this.scale;
     this.scale = next;

@@ -16,7 +16,7 @@ from .corner import TurningPressure
 # The branches are fitted with polynomials over a share of the pressure's range next to the turn: order, share, and
 # the frames that each branch must have there. The first that describes the frames is taken, else the
 # one nearest to them.
-_BRANCHES = ((4, 0.7, 24), (4, 0.4, 16), (3, 0.25, 8), (3, 0.5, 7), (2, 0.35, 4), (2, 0.15, 4), (1, 0.1, 4))
+_BRANCHES = ((4, 0.7, 24), (4, 0.4, 16), (3, 0.25, 8), (3, 0.5, 7), (2, 0.15, 4), (1, 0.1, 4), (2, 0.35, 4))
 # It does where the frames lie around it as they do around their neighbours, but for this factor in variance and
 # this share of the angle's range.
 _ADEQUATE, _MISFIT_SHARE = 1.2, 0.002
@@ -25,9 +25,8 @@ _LAG_FRAMES = 2.0
 # Within this many frames of a turn the pressure's corner is told by the curve through the log.
 _CORNER_FRAMES = 1.5
 _STEPS = 3
-# The angle goes on beyond the meeting where the turns together say so by this many standard deviations, and this
-# share of the angles there.
-_CLEAR_SD, _CLEAR_SHARE = 4.0, 0.01
+# The angle goes on beyond the meeting where the frames there say so by this many standard deviations.
+_CLEAR_SD = 4.0
 
 
 @dataclass(frozen=True)
@@ -113,7 +112,8 @@ def _fitted(meetings: _Meetings, count: int, frame_s: float) -> tuple[TurningAng
         step = covariance @ (left.T @ fit.residual.ravel() / variance - common / sd**2)
         common = common + step
     values_deg = np.full(count, np.nan)
-    values_deg[meetings.places] = fit.value_deg + fit.by_common @ step + meetings.beyond_deg(fit.coefficients)
+    beyond_deg = meetings.beyond_deg(common, fit.coefficients, variance)
+    values_deg[meetings.places] = fit.value_deg + fit.by_common @ step + beyond_deg
     by_common = fit.by_common.mean(axis=0)
     return TurningAngle(values_deg, float(np.sqrt(by_common @ covariance @ by_common))), variance
 
@@ -179,24 +179,34 @@ class _Meetings:
             left=by_common - design @ followed,
         )
 
-    def beyond_deg(self, coefficients: FloatArray) -> FloatArray:
+    def beyond_deg(self, common: FloatArray, coefficients: FloatArray, variance: float) -> FloatArray:
         """(C,) how far the angle goes on beyond where the branches meet: it may, where the material lags.
 
-        Looked for on the median of the turns' branches, at one place for all; 0 where that is no clear step.
+        Looked for on the median of the turns' branches, at one place for all. 0 where the frames there do not go
+        that far themselves: a polynomial may bend where they do not.
         """
+        count = self.order
         away = float(np.sign(np.sum(self.off_kpa)))  # to which side of the turn the frames' pressures lie
-        x = (away * np.linspace(0, 0.5, 51)[1:, None]) ** np.arange(1, self.order + 1)
-        branches = (coefficients[:, 1 : 1 + self.order] @ x.T, coefficients[:, 1 + self.order :] @ x.T)
-        gain = np.concatenate(branches, axis=1)  # (C, places), over the meeting
+        x = away * np.linspace(0, 0.5, 51)[1:]
+        powers = x[:, None] ** np.arange(1, count + 1)
+        gain = np.concatenate(
+            [coefficients[:, 1 : 1 + count] @ powers.T, coefficients[:, 1 + count :] @ powers.T], axis=1
+        )
         middle = np.median(gain, axis=0)  # a branch that is all rest bends as it likes
         # The turn is a largest angle where the angle falls away from it, else a smallest one.
-        sign = 1.0 if middle[49] + middle[99] < 0 else -1.0
+        sign = 1.0 if middle[x.size - 1] + middle[-1] < 0 else -1.0
         place = int(np.argmax(sign * middle))
+        after, at = divmod(place, x.size)
+        share = self._powers(*common)[..., 1 + after * count] / x[at]  # of the way to there
+        near = (share > 0.5) & (share < 1.5)
+        seen = sign * (self.angle_deg - coefficients[:, :1])[near]
+        if seen.size < 2 or seen.mean() < max(
+            _CLEAR_SD * (variance / seen.size) ** 0.5, 0.5 * sign * middle[place]
+        ):
+            return np.zeros(len(gain))
         best = gain[:, place]
-        spread = 1.4826 * float(np.median(np.abs(best - middle[place])))
-        best = np.where(np.abs(best - middle[place]) > 5 * spread, middle[place], best)
-        least = max(_CLEAR_SD * spread / len(best) ** 0.5, _CLEAR_SHARE * float(np.ptp(self.angle_deg)))
-        return best if sign * middle[place] > least else np.zeros(len(best))
+        off = np.abs(best - middle[place])
+        return np.where(off > 5 * 1.4826 * np.median(off), middle[place], best)
 
     def _powers(self, lag_s: float, corner_kpa: float) -> FloatArray:
         """(C, N, parameters) powers of the distance in pressure, for each branch apart."""
@@ -228,7 +238,7 @@ def _meetings(
     share: float,
     fewest: int,
 ) -> _Meetings | None:
-    """The frames next to each turn; None where fewer than half of the turns have enough of them."""
+    """The frames next to each turn; None where too few turns have them: half of those that could be told at all."""
     first, last = np.searchsorted(time_s, bounds_s[:, 0]), np.searchsorted(time_s, bounds_s[:, 1])
     width = int((last - first).max(initial=0))
     if width == 0:
@@ -239,10 +249,18 @@ def _meetings(
     late = time_s[index] - turning.turn_s[:, None]
     off = pressure_kpa[index] - turning.kpa[:, None]
     reach = np.where(inside, np.abs(off), 0).max(axis=1, keepdims=True)
-    chosen = inside & (np.abs(off) <= share * reach) & np.isfinite(off)
-    before = (chosen & (late < 0)).sum(axis=1)
-    enough = np.minimum(before, chosen.sum(axis=1) - before) >= fewest
-    if not enough.any() or 2 * enough.sum() < len(bounds_s):
+
+    def frames_near(share: float) -> tuple[np.ndarray, np.ndarray]:
+        """(C, N) the frames within a share of the range, and (C,) how many the poorer branch has of them."""
+        near = inside & (np.abs(off) <= share * reach) & np.isfinite(off)
+        before = (near & (late < 0)).sum(axis=1)
+        return near, np.minimum(before, near.sum(axis=1) - before)
+
+    _, plainest, least = _BRANCHES[-1]
+    possible = int((frames_near(plainest)[1] >= least).sum())
+    chosen, poorer = frames_near(share)
+    enough = poorer >= fewest
+    if not enough.any() or 2 * enough.sum() < possible:
         return None
     weight = chosen[enough].astype(float)
     return _Meetings(

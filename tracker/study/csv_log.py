@@ -31,7 +31,7 @@ _CLOCK = re.compile(
 )
 _CLOCK_FORMATS = (
     *("ISO8601", "%d.%m.%Y %H:%M:%S.%f", "%m/%d/%Y %H:%M:%S.%f", "%d/%m/%Y %H:%M:%S.%f"),
-    *("%d-%m-%Y %H:%M:%S.%f", "%Y/%m/%d %H:%M:%S.%f"),
+    *("%d-%m-%Y %H:%M:%S.%f", "%Y/%m/%d %H:%M:%S.%f", "%Y.%m.%d %H:%M:%S.%f"),
 )
 
 
@@ -168,7 +168,7 @@ def _header(lines: Sequence[str], layout: _Layout, path: Path) -> tuple[list[str
 
 def _cells(lines: Sequence[str], layout: _Layout, path: Path) -> tuple[pd.DataFrame, list[str]]:
     """The cells under the header as pandas reads them, and a word about lines that do not fit."""
-    body = [line for line in lines[layout.first :] if line.strip()]
+    body = list(filter(None, lines[layout.first :]))
     try:
         cells = pd.read_csv(
             io.StringIO("\n".join(body)),

@@ -1,7 +1,7 @@
 """Cycles found from the pressure alone, whatever its wave: where each begins, turns and ends, and what is off.
 
 The angle plays no part, so that no cycle is where it is because of the angle. What is measured in a cycle is
-`turning.py`, `hysteresis.py` and `dynamic.py`.
+`measured_cycles.py` and `dynamic.py`.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def find_cycles(time_s: FloatArray, pressure_kpa: FloatArray) -> CycleTrain:
     span = float(high - low)
     if span < max(_NOISE_RANGE * noise_kpa, _SMALLEST_RANGE_KPA):
         return _no_cycles(
-            f"the pressure does not move: {low:.2f} to {high:.2f} kPa, with noise of {noise_kpa:.2f} kPa"
+            f"constant pressure: it stays between {low:.2f} and {high:.2f} kPa, with noise of {noise_kpa:.2f} kPa"
         )
     tops = find_peaks(pressure_kpa, prominence=_TURN_SHARE * span)[0]
     feet = find_peaks(-pressure_kpa, prominence=_TURN_SHARE * span)[0]
@@ -122,46 +122,34 @@ def _averaged(time_s: FloatArray, pressure_kpa: FloatArray) -> tuple[FloatArray,
 def _train(
     time_s: FloatArray, pressure_kpa: FloatArray, tops: np.ndarray, feet: np.ndarray, span: float
 ) -> CycleTrain:
-    edges = [0, *feet.tolist(), time_s.size - 1]
-    usual_low = float(np.median(pressure_kpa[feet])) if feet.size else float(pressure_kpa.min())
-    whole_kpa = usual_low + _WHOLE_SHARE * span
+    end = time_s.size - 1
     incomplete: list[str] = []
     flanks: list[tuple[int, int, int]] = []
-    for first, last in pairwise(edges):
+    for first, last in pairwise([0, *feet.tolist(), end]):
         inside = tops[(tops > first) & (tops < last)]
-        if not inside.size:  # the way down before the first foot, or up after the last
-            incomplete += _partial(time_s, pressure_kpa, first, last, span)
-            continue
-        top = int(inside[np.argmax(pressure_kpa[inside])])
-        left = first if first else int(np.argmin(pressure_kpa[: top + 1]))
-        right = last if last < time_s.size - 1 else top + int(np.argmin(pressure_kpa[top:]))
-        if pressure_kpa[left] > whole_kpa:
-            incomplete.append(
-                f"the first cycle is incomplete: the record begins at {pressure_kpa[left]:.1f} kPa on the way up"
-            )
-        elif pressure_kpa[right] > whole_kpa:
-            incomplete.append(
-                f"the last cycle is incomplete: the record ends at {pressure_kpa[right]:.1f} kPa on the way down"
-            )
-        else:
+        top = int(inside[np.argmax(pressure_kpa[inside])]) if inside.size else None
+        left, right = first, last
+        if top is not None and first == 0:
+            left = int(np.argmin(pressure_kpa[: top + 1]))
+        if top is not None and last == end:
+            right = top + int(np.argmin(pressure_kpa[top:]))
+        # Inside the record a foot is a foot; at its ends the pressure must be about as low as at the other foot.
+        uneven = float(pressure_kpa[left] - pressure_kpa[right])
+        moved = float(np.ptp(pressure_kpa[first : last + 1]))
+        if (
+            top is not None
+            and (first > 0 or uneven <= _WHOLE_SHARE * span)
+            and (last < end or -uneven <= _WHOLE_SHARE * span)
+        ):
             flanks.append((left, top, right))
+        elif moved > _WHOLE_SHARE * span:  # else it is a rest
+            begins = first == 0 and (last < end or uneven > 0)
+            which, edge = ("first", "begins") if begins else ("last", "ends")
+            at = pressure_kpa[0 if begins else -1]
+            incomplete.append(f"the {which} cycle is incomplete: the record {edge} at {at:.1f} kPa")
     if not flanks:
-        return _no_cycles(
-            "no complete cycle: " + ("; ".join(incomplete) or "the pressure never comes back"),
-            tuple(incomplete),
-        )
+        return _no_cycles("no complete cycle: " + "; ".join(incomplete), tuple(incomplete))
     return _timed(time_s, pressure_kpa, flanks, incomplete)
-
-
-def _partial(time_s: FloatArray, pressure_kpa: FloatArray, first: int, last: int, span: float) -> list[str]:
-    way = float(pressure_kpa[last] - pressure_kpa[first])
-    if abs(way) < _WHOLE_SHARE * span:
-        return []
-    if first == 0:
-        return [
-            f"the record begins at {pressure_kpa[0]:.1f} kPa on the way down: its first cycle is incomplete"
-        ]
-    return [f"the record ends at {pressure_kpa[last]:.1f} kPa on the way up: its last cycle is incomplete"]
 
 
 def _timed(

@@ -23,8 +23,8 @@ _APART_P = 0.01 / 3
 _DRIFT_P = 0.01
 # Pressure this far below 0, as a share of the largest, leaves the paper's rectangle; so does an angle.
 _BELOW_SHARE = 0.05
-# Points of a cycle at which cycles are compared.
-_PHASES = 100
+# Pressures at which cycles are compared, on either branch.
+_LEVELS = 50
 _APART = "differs from the cycles after it"
 
 
@@ -70,7 +70,8 @@ class DynamicNumbers:
     largest_pressure_kpa, dynamic_response_deg : sides of the paper's rectangle
     ratio_per_frame_shift : what the ratio gains if every angle gets the pressure of one frame later (a delay that
         is one frame less)
-    repeatability_deg : RMS over the cycle of the spread (sd) between cycles; includes one frame's noise
+    repeatability_deg : RMS over both branches of the spread (sd) between cycles of the angle at one pressure; noise
+        of a frame is part of it
     repeatability_hysteresis : spread (sd) of the cycles' areas over their mean
     largest_angle_drift_deg, residual_angle_drift_deg : slope over the cycles, deg per cycle
     """
@@ -208,7 +209,7 @@ def _values(
         largest_angle_drift_deg=drift,
         residual_angle_drift_deg=residual_drift,
         ratio_per_frame_shift=used.area_by_shift * trial.frame_s / rectangle,
-        repeatability_deg=_repeatability_deg(trial, measured, used),
+        repeatability_deg=_repeatability_deg(measured, used),
         repeatability_hysteresis=_share_spread(used.areas),
         warnings=tuple(warnings),
     )
@@ -349,14 +350,22 @@ def _cycle_numbers(measured: MeasuredCycles, place: int, reason: str, rectangle:
     )
 
 
-def _repeatability_deg(trial: TrialData, measured: MeasuredCycles, used: _Used) -> float:
-    """RMS over the cycle's phase of the spread (sd) of the angle between the cycles used."""
+def _repeatability_deg(measured: MeasuredCycles, used: _Used) -> float:
+    """RMS over both branches of the spread (sd) between the cycles used of the angle at one pressure."""
     if used.number.size < 2:
         return NAN
-    known = np.isfinite(trial.angle_deg)
-    starts, ends = measured.train.start_s[used.chosen], measured.train.end_s[used.chosen]
-    at = np.linspace(starts, ends, _PHASES, endpoint=False, axis=1)
-    angles = np.interp(at, trial.time_s[known], trial.angle_deg[known])
+    levels = np.linspace(used.feet_kpa.mean(), used.tops_kpa.mean(), _LEVELS + 2)[1:-1]
+    angles = []
+    for place in np.flatnonzero(used.chosen):
+        loop = measured.loops[place]
+        top = int(np.argmax(loop[:, 0]))
+        # Noise may turn a pressure back for a frame; np.interp wants it to rise.
+        angles.append(
+            [
+                np.interp(levels, np.maximum.accumulate(branch[:, 0]), branch[:, 1])
+                for branch in (loop[: top + 1], loop[top:][::-1])
+            ]
+        )
     return float(np.sqrt(np.mean(np.var(angles, axis=0, ddof=1))))
 
 

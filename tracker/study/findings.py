@@ -25,7 +25,14 @@ def main_findings(results: StudyResults, labels: Mapping[str, str]) -> list[str]
 
 def _ratios(results: StudyResults, labels: Mapping[str, str]) -> list[str]:
     found = []
-    for row in best_comparisons(results.constant_angle).to_dict("records"):
+    table = results.constant_angle
+    for frequency, here in table.groupby("frequency_hz"):
+        if here["improvement"].isna().all():
+            reasons = _listed(list(dict.fromkeys(here["refused"])), most=2)
+            found.append(
+                f"At {frequency:g} Hz no hysteresis ratios could be compared at one angle: {reasons}."
+            )
+    for row in best_comparisons(table).to_dict("records"):
         own, other = labels[row["design"]], labels[row["baseline"]]
         where = f"At {row['angle_deg']:g}° and {row['frequency_hz']:g} Hz"
         ratio, other_ratio = interval_of(row, "design_ratio", 3), interval_of(row, "baseline_ratio", 3)
@@ -42,7 +49,9 @@ def _ratios(results: StudyResults, labels: Mapping[str, str]) -> list[str]:
 
 def _responses(results: StudyResults, labels: Mapping[str, str]) -> list[str]:
     table = results.ranking
-    best = table[(table["metric"] == "dynamic_response_deg") & (table["rank"] == 1)]
+    table = table[table["metric"] == "dynamic_response_deg"]
+    beside_others = table.groupby(["frequency_hz", "pressure_pp_kpa"])["rank"].transform("size") > 1
+    best = table[(table["rank"] == 1) & beside_others]
     found = []
     for frequency, here in best.groupby("frequency_hz"):
         # The design that bends furthest at most pressures; at equal numbers the one that bends furthest of all.
@@ -60,6 +69,7 @@ def _responses(results: StudyResults, labels: Mapping[str, str]) -> list[str]:
             (gains["metric"] == "dynamic_response_deg")
             & (gains["frequency_hz"] == frequency)
             & (gains["design"] == design)
+            & gains["pressure_pp_kpa"].isin(own["pressure_pp_kpa"])
             & gains["improvement"].notna()
         ]["improvement"]
         if len(gains) and results.baseline is not None:
@@ -77,7 +87,7 @@ def _models(results: StudyResults, labels: Mapping[str, str]) -> list[str]:
         f"{labels[row['design']]} {interval_of(row, 'rmse_deg', 2)}° ({percent_of(row, 'nrmse')} of its range)"
         for row in compared.to_dict("records")
     ]
-    return [f"The model's static curve is off the measured one by (RMSE) {_listed(each)}."]
+    return [f"Model against measured static curve, RMSE: {_listed(each)}."]
 
 
 def _control(results: StudyResults) -> list[str]:
@@ -97,7 +107,7 @@ def _trust(results: StudyResults) -> list[str]:
         subset=["size"]
     )
     if len(moved):
-        worst = moved.loc[moved["size"].idxmax()]
+        worst = moved.sort_values("size").iloc[-1]
         found.append(
             f"A clock that is off by one frame would change a hysteresis ratio by "
             f"{plain_number(moved['size'].median(), 3)} (median), at most {plain_number(worst['size'], 3)} "

@@ -13,7 +13,7 @@ def methods_text(results: StudyResults) -> list[str]:
     confidence = f"{100 * results.confidence:g} %"
     return [
         "Angles were measured on every frame of the video and pressures by a log of its own clock. The log was brought "
-        "to the video's clock by a shared clock, a given delay or an event seen in both, as each trial says below, "
+        "to the video's clock by a shared clock, a given delay or an event seen in both, as each trial says, "
         "and never by making a loop small. Pressure was then filtered to the frames' times. Frames without an angle "
         "stay gaps.",
         "Cycles were found from the pressure alone, from lowest to lowest pressure. Incomplete first and last cycles, "

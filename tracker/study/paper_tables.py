@@ -18,7 +18,7 @@ from .number_text import MISSING, plain_number, with_interval
 if TYPE_CHECKING:
     from .analysis import StudyResults
 
-Row = Mapping[str, Any]
+Row = Mapping[Any, Any]
 
 
 @dataclass(frozen=True)
@@ -116,8 +116,8 @@ def _constant_angle(results: StudyResults, labels: Mapping[str, str]) -> PaperTa
             TableColumn("Frequency"),
             TableColumn("Angle"),
             TableColumn("Design", numeric=False),
-            TableColumn(baseline),
-            TableColumn("Design's ratio"),
+            TableColumn("Ratio"),
+            TableColumn(f"Ratio, {baseline}"),
             TableColumn("Improvement"),
         ),
         rows=tuple(
@@ -125,8 +125,8 @@ def _constant_angle(results: StudyResults, labels: Mapping[str, str]) -> PaperTa
                 amount(row["frequency_hz"], "Hz"),
                 f"{row['angle_deg']:g}°",
                 labels[row["design"]],
-                interval_of(row, "baseline_ratio", 3),
                 interval_of(row, "design_ratio", 3),
+                interval_of(row, "baseline_ratio", 3),
                 percent_of(row, "improvement"),
             )
             for row in widest.sort_values(["frequency_hz", "improvement"], ascending=[True, False]).to_dict(
@@ -155,8 +155,8 @@ def _responses(results: StudyResults, labels: Mapping[str, str]) -> PaperTable:
             TableColumn("Frequency"),
             TableColumn("Pressure"),
             TableColumn("Design", numeric=False),
-            TableColumn(f"{baseline} (°)"),
-            TableColumn("Design's (°)"),
+            TableColumn("Response (°)"),
+            TableColumn(f"Response, {baseline} (°)"),
             TableColumn("Improvement"),
         ),
         rows=tuple(
@@ -164,8 +164,8 @@ def _responses(results: StudyResults, labels: Mapping[str, str]) -> PaperTable:
                 amount(row["frequency_hz"], "Hz"),
                 amount(row["pressure_pp_kpa"], "kPa"),
                 labels[row["design"]],
-                interval_of(row, "baseline_value", 2),
                 interval_of(row, "design_value", 2),
+                interval_of(row, "baseline_value", 2),
                 percent_of(row, "improvement"),
             )
             for row in order.to_dict("records")
@@ -288,7 +288,8 @@ def _control(results: StudyResults) -> PaperTable:
     rows = []
     if len(table):
         waves = table.assign(frequency_hz=table["frequency_hz"].where(table["kind"] == "dynamic", 0.0))
-        for (frequency, pressure), here in waves.groupby(["frequency_hz", "pressure_pp_kpa"], dropna=False):
+        for _, here in waves.groupby(["frequency_hz", "pressure_pp_kpa"], dropna=False):
+            frequency, pressure = here[["frequency_hz", "pressure_pp_kpa"]].to_numpy(float)[0]
             wave = "Staircase" if frequency == 0 else f"{frequency:g} Hz wave"
             pooled = {name: float(np.sqrt(np.mean(here[name] ** 2))) for name in ("rmse_kpa", "nrmse")}
             rows.append(

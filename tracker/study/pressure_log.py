@@ -78,10 +78,10 @@ def read_pressure_log(path: str | Path, log_format: LogFormat | None = None) -> 
     columns, warnings = _columns_of(path)
     pressure, time, reference, sync = choose_columns(columns, log_format, str(path))
     if time is None:
-        seconds, started_s, notes = _counted(len(pressure.values), log_format, str(path)), None, []
+        seconds, started_s = _counted(len(pressure.values), log_format, str(path)), None
     else:
         seconds, started_s, notes = _seconds(time, log_format, str(path))
-    warnings += notes
+        warnings += notes
     kpa, unit = _kpa(pressure, log_format, str(path))
     if np.isfinite(kpa).sum() < _MIN_SAMPLES:
         raise PressureLogError(
@@ -144,7 +144,10 @@ def _counted(n_samples: int, asked: LogFormat, where: str) -> FloatArray:
 
 def _seconds(time: LogColumn, asked: LogFormat, where: str) -> tuple[FloatArray, float | None, list[str]]:
     """Times (N,) in s, the date of time 0 where dates were logged, and what was worked around."""
-    values, notes = time.values, []
+    values = time.values
+    notes: list[str] = []
+    if np.isfinite(values).sum() < 2:
+        raise PressureLogError(f"{where}: column '{time.name}': expected times, got none that can be read")
     if time.is_clock:
         if np.nanmax(values) <= _DAY_S:  # a time of day
             midnight = np.concatenate([[0.0], np.cumsum(np.diff(values) < -_DAY_S / 2)])
@@ -158,8 +161,6 @@ def _seconds(time: LogColumn, asked: LogFormat, where: str) -> tuple[FloatArray,
         raise PressureLogError(
             f"{where}: column '{time.name}': expected a unit of time ({', '.join(SECONDS_IN)}), got '{unit}'"
         )
-    if not np.isfinite(values).any():
-        raise PressureLogError(f"{where}: column '{time.name}': expected times, got no number in it")
     first = float(np.nanmin(values))
     if unit is None:
         unit = next((unit for least, unit in _EPOCH_UNITS if first >= least), None)

@@ -18,6 +18,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from ..atomic import atomic_write_text
@@ -27,7 +28,7 @@ from .analysis import StudyResults
 from .findings import main_findings
 from .latex import latex_table
 from .methods import DEFINITIONS, methods_text
-from .number_text import plain_number
+from .number_text import MINUS, plain_number
 from .paper_tables import PaperTable, amount, interval_of, paper_tables
 from .plots.figure_set import WrittenFigure, start_trial_sheets, write_study_figures
 from .plots.looks import looks_of
@@ -95,7 +96,7 @@ def write_report(
     looks = looks_of((name, design.label, design.colour) for name, design in study.designs.items())
     labels = {name: design.label for name, design in study.designs.items()}
     with start_trial_sheets(results, trials, looks, out / "figures" / "trials", workers) as sheets:
-        figures = write_study_figures(results, trials, looks, out / "figures", baseline=results.baseline)
+        figures = write_study_figures(results, trials, looks, out / "figures")
         tables = paper_tables(results, labels)
         _write_tables(results, tables, out / "tables")
         trial_sheets = sheets.collect()
@@ -209,11 +210,16 @@ def _trials_part(
     for number, trial in enumerate(trials, start=1):
         warnings = said.get(trial.name, [])
         sheet = sheets[trial.name]
+        gaps = (
+            " Short bars on the time axis: frames without an angle."
+            if np.isnan(trial.angle_deg).any()
+            else ""
+        )
         content = list_html(warnings, "warnings") + figure_html(
             sheet.png,
             name="",
             alt=f"{trial.name}: bending angle and pressure over time, and angle against pressure",
-            caption=f"{_clock_words(trial)} (figures/{sheet.name}.pdf)",
+            caption=f"{_clock_words(trial)}{gaps} (figures/{sheet.name}.pdf)",
         )
         nominal = [
             amount(float(value), unit)
@@ -244,10 +250,11 @@ def _trials_part(
 
 
 def _clock_words(trial: TrialData) -> str:
-    shift = trial.shift
+    delay_s = trial.shift.delay_s
+    sign = MINUS if delay_s < 0 else "+"
     return (
-        f"Clocks by {shift.method}: video time = log time {plain_number(shift.delay_s, 4)} s, "
-        f"± {plain_number(trial.shift_sd_s, 4)} s (one standard deviation)."
+        f"Clocks by {trial.shift.method}: video time = log time {sign} {plain_number(abs(delay_s), 4)} s, "
+        f"with a standard uncertainty of {plain_number(trial.shift_sd_s, 4)} s."
     )
 
 

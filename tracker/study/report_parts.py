@@ -75,9 +75,10 @@ def table_html(table: PaperTable, *, rows_in_view: int = 16) -> str:
         body.append(f"<tr{_class('turn' if turn else '')}>{cells}</tr>")
         before = row[0]
     tall = " tall" if len(table.rows) > rows_in_view else ""
+    wide = " wide" if len(table.columns) > 8 else ""
     note = paragraph_html(table.note, "note") if table.note else ""
     return (
-        f'<div class="scroll{tall}" tabindex="0"><table><caption>{escape(table.caption)}</caption>'
+        f'<div class="scroll{tall}{wide}" tabindex="0"><table><caption>{escape(table.caption)}</caption>'
         f"<thead><tr>{heads}</tr></thead><tbody>{''.join(body)}</tbody></table></div>{note}"
     )
 
@@ -87,7 +88,7 @@ def figure_html(png: bytes, *, name: str, alt: str, caption: str, css_class: str
     data = base64.b64encode(png).decode("ascii")
     lead = f"<b>{escape(name)}</b> " if name else ""
     return (
-        f'<figure{_class(css_class)}><img loading="lazy" decoding="async" alt="{escape(alt)}" '
+        f'<figure{_class(css_class)}><img alt="{escape(alt)}" '
         f'src="data:image/png;base64,{data}"><figcaption>{lead}{escape(caption)}</figcaption></figure>'
     )
 

@@ -26,7 +26,8 @@ _SHORTEST_S, _APART_SHARE = 0.5, 0.2
 _READ_SHARE, _FEWEST_FRAMES = 1 / 3, 5
 # An angle that still moves by this many of its standard deviations while it is read has not settled.
 _SETTLED_SD = 3.0
-_SMALLEST_RANGE_KPA = 0.5
+# A range within this many standard deviations of noise, or under half a kPa, is no movement.
+_NOISE_RANGE, _SMALLEST_RANGE_KPA = 8.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -84,20 +85,20 @@ def measure_static(trial: TrialData) -> StaticNumbers:
 def _steady_spans(time_s: FloatArray, pressure_kpa: FloatArray) -> list[tuple[int, int]]:
     """Frames [first, last) of each stair."""
     known = np.flatnonzero(np.isfinite(pressure_kpa))
-    if known.size < 10 or np.ptp(pressure_kpa[known]) < _SMALLEST_RANGE_KPA:
+    if known.size < 10:
         return []
     time, pressure = time_s[known], pressure_kpa[known]
     frame_s = float(np.median(np.diff(time)))
-    width = max(3, round(_SLOPE_S / frame_s))
-    # Half a window's mean after less half a window's mean before, over the time between them: a ramp's slope
-    # however noisy the readings.
-    half = max(width // 2, 1)
+    half = max(round(_SLOPE_S / frame_s) // 2, 2)
     means = uniform_filter1d(pressure, half, mode="nearest")
+    noise = 1.4826 * float(np.median(np.abs(np.diff(pressure, n=2)))) / (6 * half) ** 0.5
+    if np.ptp(means) < max(_NOISE_RANGE * noise, _SMALLEST_RANGE_KPA):
+        return []
+    # The mean of half a window after less that of half a window before, over the time between them.
     ahead, behind = np.roll(means, -(half - half // 2)), np.roll(means, half // 2 + half % 2)
     slope = np.abs(ahead - behind) / (half * frame_s)
     slope[:half], slope[-half:] = slope[half], slope[-half - 1]
-    noise = 1.4826 * float(np.median(np.abs(np.diff(means, n=2)))) / half**0.5
-    limit = max(_STEADY_SHARE * float(slope.max()), 4 * noise / (half * frame_s))
+    limit = max(_STEADY_SHARE * float(slope.max()), 4 * 2**0.5 * noise / (half * frame_s))
     if limit > 0.5 * float(slope.max()):
         return []
     steady = slope <= limit

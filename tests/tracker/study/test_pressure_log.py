@@ -108,6 +108,7 @@ def test_preambles_unit_rows_quotes_and_encodings(tmp_path: Path) -> None:
         "%Y-%m-%d %H:%M:%S.{ms:03d}",
         "%d.%m.%Y %H:%M:%S,{ms:03d}",
         "%m/%d/%Y %H:%M:%S.{ms:03d}",
+        "%Y.%m.%d %H:%M:%S.{ms:03d}",
         "%H:%M:%S.{ms:03d}",
     ],
 )
@@ -247,6 +248,7 @@ def test_milliseconds_are_not_taken_for_seconds(tmp_path: Path) -> None:
         (b"hello\nworld\n", "found no line of numbers"),
         (bytes(range(256)) * 9, "text table or a MATLAB file"),
         (b"time_s,p_kpa\n0,1\n1,2\n2,3\n", "at least 10 samples"),
+        (b"time_s,p_kpa\n" + b"n/a,1\n" * 50, "column 'time': expected times, got none that can be read"),
     ],
 )
 def test_no_log_at_all(tmp_path: Path, content: bytes, message: str) -> None:

@@ -136,7 +136,7 @@ SYNC = "\n[sync]\nmethod = "
         ("trials = []", "expected at least one [[trials]], got none"),
         ("title = ", "expected TOML, got a mistake"),
         (TRIAL + "presure = 3", "unknown key 'trials[1].presure' (did you mean 'pressure_pp_kpa'?)"),
-        (TRIAL.replace("log =", "kog ="), "expected the key 'trials[1].log', got none"),
+        (TRIAL.replace('log = "logs/a.csv"', ""), "expected the key 'trials[1].log', got none"),
         (TRIAL.replace('"dynamic"', '"wave"'), "trials[1].kind: expected 'static' or 'dynamic', got 'wave'"),
         (TRIAL.replace("0.25", "-0.25"), "trials[1].frequency_hz: expected greater than 0, got -0.25"),
         (

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from .looks import Look
-from .page import INK, PAGE_MM, house_style, limit_from_zero, new_figure, quiet_grid
+from .page import INK, PAGE_MM, house_style, new_figure, quiet_grid
 
 # Column of the table, words on the axis.
 _METRICS = (("dynamic_response_deg", "dynamic response (°)"), ("hysteresis_ratio", "hysteresis ratio"))
@@ -42,9 +42,6 @@ def bars_figure(dynamic: pd.DataFrame, looks: Mapping[str, Look]) -> Figure:
                     axes.set_xlabel("peak-to-peak pressure (kPa)")
                 if column == 0:
                     axes.set_ylabel(words)
-        # Panels of a row share their limits: only now are all bars in.
-        for axes in grid[:, 0]:
-            axes.set_ylim(limit_from_zero(*axes.dataLim.intervaly, headroom=0.0))
         used = [look for name, look in looks.items() if name in set(dynamic["design"])]
         figure.legend(
             handles=[look.handle(line=False) for look in used],

@@ -5,19 +5,19 @@ from __future__ import annotations
 import io
 import math
 import multiprocessing
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from PIL import Image
 
 from ...types import FloatArray
 from ..paper_tables import best_comparisons, interval_of
+from ..trial import Kind
 from .bars import bars_figure
 from .control_tracking import control_figure
 from .leaf import leaf_figure
@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from ..trial import TrialData
 
 _LONGEST_FILE_NAME = 80
+# Waves of the control's figure: more would be too narrow.
+_MOST_WAVES = 4
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ class WrittenFigure:
 
 @dataclass(frozen=True)
 class Leaf:
-    """What the drawing of a trial's leaf needs: cycles used and left out, the rectangle, a note."""
+    """What the drawing of a trial's leaf needs: cycles used and the one set apart, the rectangle, a note."""
 
     loops: tuple[FloatArray, ...] = ()
     apart: tuple[FloatArray, ...] = ()
@@ -66,12 +68,7 @@ class Leaf:
 
 
 def write_study_figures(
-    results: StudyResults,
-    trials: Sequence[TrialData],
-    looks: dict[str, Look],
-    folder: Path,
-    *,
-    baseline: str | None,
+    results: StudyResults, trials: Sequence[TrialData], looks: dict[str, Look], folder: Path
 ) -> list[WrittenFigure]:
     """The figures of the whole study; a family without data is left out.
 
@@ -80,76 +77,110 @@ def write_study_figures(
     ResultsError
         A file cannot be written.
     """
-    dynamic = results.dynamic
-    measured = dynamic[dynamic["dynamic_response_deg"].notna()] if len(dynamic) else dynamic
-    written = []
-    example = _example(measured, trials, baseline)
-    if example is not None:
-        leaf = leaf_of(example.name, results)
-        caption = f"{example.name}: bending angle and pressure over time."
-        written.append(
-            _write(time_series_figure(example, looks[example.design]), folder, "time_series", caption)
-        )
-        figure = leaf_figure(
-            leaf.loops,
-            looks[example.design],
-            largest_pressure_kpa=leaf.largest_pressure_kpa,
-            largest_angle_deg=leaf.largest_angle_deg,
-            apart=leaf.apart,
-            note=leaf.note,
-            title=example.name,
-        )
+    figures = [
+        *_example_figures(results, trials, looks),
+        *_dynamic_figures(results, looks),
+        *_static_figures(results, trials, looks),
+        *_control_figures(results, trials),
+    ]
+    return [
+        WrittenFigure(name, caption, _for_screen(save_figure(figure, folder / name), 256), narrow)
+        for name, caption, narrow, figure in figures
+    ]
+
+
+# Name, caption, whether it is as wide as a column, the figure: drawn when it is asked for, so that one is held at once.
+_Figures = Iterator[tuple[str, str, bool, Figure]]
+
+
+def _example_figures(results: StudyResults, trials: Sequence[TrialData], looks: dict[str, Look]) -> _Figures:
+    """One trial large: the baseline's slowest at its largest pressure."""
+    measured = _measured(results)
+    own = measured[measured["design"] == results.baseline]
+    order = (own if len(own) else measured).sort_values(
+        ["frequency_hz", "pressure_pp_kpa"], ascending=[True, False], kind="stable"
+    )
+    example = next((trial for name in order["trial"] for trial in trials if trial.name == name), None)
+    if example is None:
+        return
+    caption = f"{example.name}: bending angle and pressure over time."
+    yield "time_series", caption, False, time_series_figure(example, looks[example.design])
+    leaf = leaf_of(example.name, results)
+    caption = (
+        f"{example.name}: {len(leaf.loops)} cycles and their mean. The hysteresis ratio is the area within the leaf "
+        f"over the area of the dashed rectangle, which reaches to the axes."
+    )
+    if leaf.apart:
+        caption += " Grey: the first cycle, which differs from the others and is left out of the numbers."
+    figure = leaf_figure(
+        leaf.loops,
+        looks[example.design],
+        largest_pressure_kpa=leaf.largest_pressure_kpa,
+        largest_angle_deg=leaf.largest_angle_deg,
+        apart=leaf.apart,
+        note=leaf.note,
+        title=example.name,
+    )
+    yield "leaf", caption, True, figure
+
+
+def _dynamic_figures(results: StudyResults, looks: dict[str, Look]) -> _Figures:
+    measured = _measured(results)
+    placed = measured.dropna(subset=["frequency_hz", "pressure_pp_kpa"])
+    if len(placed):
         caption = (
-            f"{example.name}: {len(leaf.loops)} cycles and their mean. The hysteresis ratio is the area within "
-            f"the leaf over the area of the dashed rectangle, which reaches to the axes."
+            "Angle against pressure of all dynamic trials, by frequency (rows) and peak-to-peak pressure (columns). "
+            "A mark stands at the tip of each design's leaf."
         )
-        if leaf.apart:
-            caption += " Grey: complete cycles that the numbers leave out."
-        written.append(_write(figure, folder, "leaf", caption, narrow=True))
-    if len(measured):
-        loops = {name: leaf_of(name, results).loops for name in measured["trial"]}
-        if measured[["frequency_hz", "pressure_pp_kpa"]].notna().all(axis=1).any():
-            caption = (
-                "Angle against pressure of all dynamic trials, by frequency (rows) and peak-to-peak pressure "
-                "(columns). A mark stands at the tip of each design's leaf."
-            )
-            written.append(_write(leaf_grid_figure(measured, loops, looks), folder, "leaves", caption))
-            caption = (
-                "Dynamic response (largest angle) and hysteresis ratio of every trial; whiskers are "
-                f"{100 * results.confidence:g} % intervals."
-            )
-            written.append(_write(bars_figure(measured, looks), folder, "bars", caption))
-        if measured["hysteresis_ratio"].notna().any() and measured["frequency_hz"].notna().any():
-            caption = (
-                "Hysteresis ratio against largest angle; a design's trials are joined by straight lines. The "
-                "dashed line stands where designs are compared at one angle."
-            )
-            figure = ratio_angle_figure(measured, best_comparisons(results.constant_angle), looks)
-            written.append(_write(figure, folder, "ratio_against_angle", caption))
-    static_names = set(results.static_steps["trial"]) if len(results.static_steps) else set()
-    static = [trial for trial in trials if trial.name in static_names]
+        loops = {name: leaf_of(name, results).loops for name in placed["trial"]}
+        yield "leaves", caption, False, leaf_grid_figure(placed, loops, looks)
+        caption = (
+            f"Dynamic response (largest angle) and hysteresis ratio of every trial; whiskers are "
+            f"{100 * results.confidence:g} % intervals."
+        )
+        yield "bars", caption, False, bars_figure(placed, looks)
+    if len(measured.dropna(subset=["hysteresis_ratio", "frequency_hz"])):
+        caption = (
+            "Hysteresis ratio against largest angle; a design's trials are joined by straight lines, whiskers are "
+            f"{100 * results.confidence:g} % intervals. The dashed line stands where designs are compared at one angle."
+        )
+        comparisons = best_comparisons(results.constant_angle)
+        yield "ratio_against_angle", caption, False, ratio_angle_figure(measured, comparisons, looks)
+
+
+def _static_figures(results: StudyResults, trials: Sequence[TrialData], looks: dict[str, Look]) -> _Figures:
+    names = set(results.static_steps["trial"])
+    static = [trial for trial in trials if trial.name in names]
     if static:
         caption = (
             "Angle held at each stair (marks, in the order of time), the model's curve (dashed), and measured less "
             "model (below)."
         )
-        written.append(
-            _write(
-                static_figure(results.static_steps, static, looks),
-                folder,
-                "static_curves",
-                caption,
-                narrow=True,
-            )
-        )
-    shown, rmse_kpa = _control_examples(results.control, trials)
+        yield "static_curves", caption, True, static_figure(results.static_steps, static, looks)
+
+
+def _control_figures(results: StudyResults, trials: Sequence[TrialData]) -> _Figures:
+    """Of each wave the trial of the largest pressure: staircases first, slow before fast."""
+    rmse_kpa = dict(zip(results.control["trial"], results.control["rmse_kpa"], strict=True))
+    chosen: dict[tuple[bool, float], TrialData] = {}
+    for trial in trials:
+        wave = (trial.kind is Kind.DYNAMIC, trial.frequency_hz or 0.0)
+        usual = chosen.get(wave, trial).pressure_pp_kpa or 0.0
+        if trial.name in rmse_kpa and (wave not in chosen or (trial.pressure_pp_kpa or 0.0) > usual):
+            chosen[wave] = trial
+    shown = [chosen[wave] for wave in sorted(chosen)][:_MOST_WAVES]
     if shown:
         caption = (
             "Measured pressure on its reference wave, and the error (measured less reference), for the trial of the "
             "largest pressure of each wave: " + ", ".join(trial.name for trial in shown) + "."
         )
-        written.append(_write(control_figure(shown, rmse_kpa), folder, "control_tracking", caption))
-    return written
+        figure = control_figure(shown, [float(rmse_kpa[trial.name]) for trial in shown])
+        yield "control_tracking", caption, False, figure
+
+
+def _measured(results: StudyResults) -> pd.DataFrame:
+    """Dynamic trials that have a value."""
+    return results.dynamic.dropna(subset=["dynamic_response_deg"])
 
 
 def start_trial_sheets(
@@ -191,9 +222,12 @@ class TrialSheets:
         ResultsError
             A file cannot be written.
         """
-        pictures = (
-            [f.result() for f in self._futures] if self._pool else [write_sheet(*job) for job in self._jobs]
-        )
+        pictures: list[bytes] = []
+        for place in reversed(range(len(self._jobs))):
+            # What nobody has begun, from the end on, is drawn here: no process waits while there is work.
+            mine = not self._futures or self._futures[place].cancel()
+            pictures.append(write_sheet(*self._jobs[place]) if mine else self._futures[place].result())
+        pictures.reverse()
         return {
             trial.name: WrittenFigure(f"{stem.parent.name}/{stem.name}", "", png)
             for (trial, _, _, stem), png in zip(self._jobs, pictures, strict=True)
@@ -218,19 +252,19 @@ def write_sheet(trial: TrialData, look: Look, leaf: Leaf, stem: Path) -> bytes:
 def leaf_of(name: str, results: StudyResults) -> Leaf:
     """A trial's leaf from the results; an empty one where it has none."""
     loops = results.loops.get(name, [])
-    rows = results.dynamic[results.dynamic["trial"] == name] if len(results.dynamic) else results.dynamic
+    rows = results.dynamic.loc[results.dynamic["trial"] == name]
     if not len(loops) or rows.empty:
         return Leaf()
-    row = rows.iloc[0]
-    cycles = results.cycles[results.cycles["trial"] == name].sort_values("number")
-    used = cycles["used"].to_numpy(bool) if len(cycles) == len(loops) else np.zeros(len(loops), bool)
-    ratio = interval_of(row, "hysteresis_ratio", 3)
+    row = rows.to_dict("records")[0]
+    first_used = 1 if row["first_cycle_apart"] else 0
     return Leaf(
-        loops=tuple(loop for loop, is_used in zip(loops, used, strict=True) if is_used),
-        apart=tuple(loop for loop, is_used in zip(loops, used, strict=True) if not is_used),
+        loops=tuple(loops[first_used:]),
+        apart=tuple(loops[:first_used]),
         largest_pressure_kpa=float(row["largest_pressure_kpa"]),
         largest_angle_deg=float(row["dynamic_response_deg"]),
-        note=f"ratio {ratio}" if math.isfinite(row["hysteresis_ratio"]) else "",
+        note=f"ratio {interval_of(row, 'hysteresis_ratio', 3)}"
+        if math.isfinite(row["hysteresis_ratio"])
+        else "",
     )
 
 
@@ -253,43 +287,8 @@ def file_names(names: Iterable[str]) -> dict[str, str]:
     return found
 
 
-def _write(figure: Figure, folder: Path, name: str, caption: str, *, narrow: bool = False) -> WrittenFigure:
-    return WrittenFigure(name, caption, _for_screen(save_figure(figure, folder / name), 256), narrow)
-
-
 def _for_screen(picture: Image.Image, colours: int) -> bytes:
     """The picture as a PNG with a palette: a third of the size, and no difference to the eye."""
     data = io.BytesIO()
     picture.quantize(colours, dither=Image.Dither.NONE).save(data, format="PNG", compress_level=6)
     return data.getvalue()
-
-
-def _example(dynamic: pd.DataFrame, trials: Sequence[TrialData], baseline: str | None) -> TrialData | None:
-    """The trial that is shown large: the baseline's slowest at its largest pressure."""
-    if dynamic.empty:
-        return None
-    own = dynamic[dynamic["design"] == baseline]
-    name = (
-        (own if len(own) else dynamic)
-        .sort_values(["frequency_hz", "pressure_pp_kpa"], ascending=[True, False], kind="stable")["trial"]
-        .iloc[0]
-    )
-    return next(trial for trial in trials if trial.name == name)
-
-
-def _control_examples(
-    control: pd.DataFrame, trials: Sequence[TrialData]
-) -> tuple[list[TrialData], list[float]]:
-    """Of each wave the trial of the largest pressure (the first of several), staircases first, slow before fast."""
-    if control.empty:
-        return [], []
-    rmse_kpa = dict(zip(control["trial"], control["rmse_kpa"], strict=True))
-    chosen: dict[tuple[str, float], TrialData] = {}
-    for trial in trials:
-        if trial.log_reference_kpa is None or not math.isfinite(rmse_kpa.get(trial.name, math.nan)):
-            continue
-        wave = (trial.kind.value, trial.frequency_hz or 0.0)
-        if wave not in chosen or (trial.pressure_pp_kpa or 0) > (chosen[wave].pressure_pp_kpa or 0):
-            chosen[wave] = trial
-    order = sorted(chosen, key=lambda wave: (wave[0] != "static", wave[1]))[:4]
-    return [chosen[wave] for wave in order], [float(rmse_kpa[chosen[wave].name]) for wave in order]

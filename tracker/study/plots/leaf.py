@@ -37,7 +37,7 @@ def leaf_figure(
     ----------
     loops : (N, 2) of each cycle used, pressure in kPa and angle in degrees, in the order of time
     largest_pressure_kpa, largest_angle_deg : sides of the rectangle; none is drawn where one is NaN
-    apart : complete cycles that the numbers leave out, drawn in grey
+    apart : cycles that the numbers leave out, drawn in grey
     note : what is written inside the rectangle, such as the ratio
     """
     with house_style():
@@ -151,7 +151,7 @@ def _draw_arrow(axes: Axes, mean: FloatArray, look: Look, branch: str) -> None:
         xy=tuple(mean[after]),
         xytext=tuple(mean[before]),
         arrowprops={
-            "arrowstyle": "-|>,head_length=0.9,head_width=0.42",
+            "arrowstyle": "-|>,head_length=0.75,head_width=0.34",
             "color": look.edge,
             "linewidth": 0,
             "shrinkA": 0,

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
@@ -24,15 +25,12 @@ def leaf_grid_figure(
 ) -> Figure:
     """Every dynamic trial's cycles, with the design's mark at the tip of its leaf.
 
-    Trials without a nominal frequency or pressure have no panel.
-
     Parameters
     ----------
     dynamic : one row a trial, with trial, design, frequency_hz and pressure_pp_kpa
     loops : (N, 2) of each cycle used, pressure in kPa and angle in degrees, by trial
     """
     shown = dynamic[[len(loops.get(name, ())) > 0 for name in dynamic["trial"]]]
-    shown = shown.dropna(subset=["frequency_hz", "pressure_pp_kpa"])
     frequencies = sorted(shown["frequency_hz"].unique())
     pressures = sorted(shown["pressure_pp_kpa"].unique())
     with house_style():
@@ -47,23 +45,7 @@ def leaf_grid_figure(
                 if here.empty:
                     axes.text(0.5, 0.5, "no trial", transform=axes.transAxes, ha="center", color="0.6")
                 for trial in _in_order(here, looks):
-                    look = looks[str(trial["design"])]
-                    cycles = [_thinned(loop) for loop in loops[str(trial["trial"])]]
-                    # Tens of thousands of points: pixels within the PDF, at the resolution of the PNG.
-                    lines = LineCollection(
-                        cycles, colors=look.colour, linewidths=0.45, alpha=0.8, rasterized=True
-                    )
-                    axes.add_collection(lines, autolim=False)
-                    tip = _tip(mean_loop(cycles))
-                    axes.plot(
-                        *tip,
-                        marker=look.marker,
-                        color=look.colour,
-                        markeredgecolor=look.edge,
-                        markeredgewidth=0.6,
-                        markersize=4,
-                        zorder=5,
-                    )
+                    _draw_trial(axes, loops[str(trial["trial"])], looks[str(trial["design"])])
                 if row == 0:
                     axes.set_title(f"{pressure:g} kPa peak to peak", loc="center")
                 if column == 0:
@@ -83,6 +65,22 @@ def leaf_grid_figure(
             ncols=min(len(used), 4) or 1,
         )
     return figure
+
+
+def _draw_trial(axes: Axes, loops: Sequence[FloatArray], look: Look) -> None:
+    cycles = [_thinned(loop) for loop in loops]
+    # Tens of thousands of points: pixels within the PDF, at the resolution of the PNG.
+    lines = LineCollection(cycles, colors=look.colour, linewidths=0.45, alpha=0.8, rasterized=True)
+    axes.add_collection(lines, autolim=False)
+    axes.plot(
+        *_tip(mean_loop(cycles)),
+        marker=look.marker,
+        color=look.colour,
+        markeredgecolor=look.edge,
+        markeredgewidth=0.6,
+        markersize=4,
+        zorder=5,
+    )
 
 
 def _extremes(

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.lines import Line2D
 
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "p", "h", "*")
-_LINES: tuple[str | tuple[float, tuple[float, ...]], ...] = (
+_LINES: tuple[Any, ...] = (
     "-",
     (0, (5, 1.2)),
     (0, (1.2, 1.1)),
@@ -32,14 +33,14 @@ class Look:
     label : its name in legends
     colour : as the study file gives it, hex
     edge : the same, darker
-    marker, line : told apart without colour
+    marker, line : matplotlib's, told apart without colour
     """
 
     label: str
     colour: str
     edge: str
     marker: str
-    line: str | tuple[float, tuple[float, ...]]
+    line: Any
 
     def handle(self, *, marker: bool = True, line: bool = True) -> Line2D:
         """An entry for a legend."""
@@ -62,9 +63,14 @@ def looks_of(designs: Iterable[tuple[str, str, str]]) -> dict[str, Look]:
         name: Look(
             label=label,
             colour=to_hex(colour),
-            edge=to_hex([_EDGE * part for part in to_rgb(colour)]),
+            edge=_darker(colour),
             marker=_MARKERS[place % len(_MARKERS)],
             line=_LINES[place % len(_LINES)],
         )
         for place, (name, label, colour) in enumerate(designs)
     }
+
+
+def _darker(colour: str) -> str:
+    red, green, blue = to_rgb(colour)
+    return to_hex((_EDGE * red, _EDGE * green, _EDGE * blue))

@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -28,7 +29,7 @@ COLUMN_MM, PAGE_MM = 88.0, 180.0
 DPI = 300
 INK, QUIET, FAINT = "0.15", "0.42", "0.88"
 PRESSURE_COLOUR = "#4a6484"
-_STYLE = {
+_STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
     "font.size": 7.0,
     "axes.titlesize": 7.5,

@@ -10,6 +10,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ...types import FloatArray
+from ..number_text import MINUS
 from .looks import Look
 from .page import INK, PAGE_MM, QUIET, house_style, new_figure, quiet_grid
 
@@ -51,11 +53,17 @@ def _draw_design(axes: Axes, trials: pd.DataFrame, look: Look) -> None:
         return
     x, y = (trials[column].to_numpy(float) for column in ("dynamic_response_deg", "hysteresis_ratio"))
     axes.plot(x, y, color=look.colour, linestyle=look.line, linewidth=1.0, zorder=3, label=look.label)
-    whiskers = {
-        f"{axis}err": np.abs([values - trials[f"{column}_low"], trials[f"{column}_high"] - values])
-        for axis, column, values in (("x", "dynamic_response_deg", x), ("y", "hysteresis_ratio", y))
-    }
-    axes.errorbar(x, y, **whiskers, linestyle="none", color=look.edge, linewidth=0.6, capsize=1.2, zorder=3.5)
+    axes.errorbar(
+        x,
+        y,
+        xerr=_arms(trials, "dynamic_response_deg"),
+        yerr=_arms(trials, "hysteresis_ratio"),
+        linestyle="none",
+        color=look.edge,
+        linewidth=0.6,
+        capsize=1.2,
+        zorder=3.5,
+    )
     axes.plot(
         x,
         y,
@@ -67,6 +75,13 @@ def _draw_design(axes: Axes, trials: pd.DataFrame, look: Look) -> None:
         markeredgewidth=0.6,
         zorder=4,
     )
+
+
+def _arms(trials: pd.DataFrame, column: str) -> FloatArray:
+    """Lengths (2, N) of the whiskers below and above each value."""
+    value = trials[column].to_numpy(float)
+    ends = trials[[f"{column}_low", f"{column}_high"]].to_numpy(float).T
+    return np.abs(ends - value)
 
 
 def _draw_comparison(axes: Axes, best: Mapping[str, Any], looks: Mapping[str, Look]) -> None:
@@ -88,20 +103,6 @@ def _draw_comparison(axes: Axes, best: Mapping[str, Any], looks: Mapping[str, Lo
         axes.annotate(
             f"{ratio:.3f}", (0, ratio), xytext=(3, 1.5), textcoords="offset points", va="bottom", zorder=6
         )
-    better, other = looks[best["design"]].label, looks[best["baseline"]].label
-    label = f"at {angle:g}°: {-100 * best['improvement']:+.1f} %\n{better}\nagainst {other}".replace(
-        "-", "\u2212", 1
-    )
-    left = angle > 0.5 * axes.get_xlim()[1]
-    axes.annotate(
-        label,
-        (angle, 1.0),
-        xycoords=("data", "axes fraction"),
-        xytext=(-4 if left else 4, -1),
-        textcoords="offset points",
-        ha="right" if left else "left",
-        va="top",
-        linespacing=1.35,
-        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.0},
-        zorder=6,
-    )
+    share = f"{-100 * best['improvement']:+.1f}\u00a0%".replace("-", MINUS)
+    words = f"at {angle:g}°: {looks[best['design']].label} {share} against {looks[best['baseline']].label}"
+    axes.set_title(f"{axes.get_title('center')}\n{words}", loc="center")

@@ -22,7 +22,8 @@ def static_figure(steps: pd.DataFrame, trials: Sequence[TrialData], looks: Mappi
 
     Parameters
     ----------
-    steps : one row a stair, with trial, design, number, pressure_kpa, angle_deg, angle_deg_low, angle_deg_high, model_angle_deg
+    steps : one row a stair, with trial, number, pressure_kpa, angle_deg, angle_deg_low, angle_deg_high,
+        model_angle_deg
     trials : those of the steps, for their model curves
     """
     with house_style():

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from matplotlib.figure import Figure
+from matplotlib.transforms import blended_transform_factory
 
 from ...types import FloatArray
 from .leaf import draw_leaf
@@ -43,7 +44,8 @@ def trial_sheet(
         pressure_axes = figure.add_subplot(grid[1], sharex=angle_axes)
         draw_time_series(angle_axes, pressure_axes, trial, look)
         for axes in (angle_axes, pressure_axes):
-            axes.yaxis.set_label_coords(-0.08, 0.5)
+            place = blended_transform_factory(figure.transFigure, axes.transAxes)
+            axes.yaxis.set_label_coords(0.02, 0.5, transform=place)
         if with_leaf:
             leaf_axes = figure.add_axes((0.735, 0.135, 0.25, 0.74))
             draw_leaf(

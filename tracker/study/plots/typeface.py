@@ -5,6 +5,8 @@ A study has a hundred PDFs. Embedding the whole font's layout tables costs more 
 
 from __future__ import annotations
 
+import atexit
+import shutil
 import tempfile
 from functools import cache
 from pathlib import Path
@@ -31,21 +33,21 @@ def figure_families() -> tuple[str, ...]:
     """Font families for `font.sans-serif`, made known to matplotlib: the small one, then the whole one."""
     options = subset.Options(layout_features=[], name_IDs=["*"], glyph_names=False)
     options.drop_tables += ["GDEF", "GPOS", "GSUB", "kern", "FFTM"]
-    font = subset.load_font(font_manager.findfont(WHOLE_FAMILY), options)
-    cutter = subset.Subsetter(options)
-    cutter.populate(unicodes=[code for first, last in _RANGES for code in range(first, last + 1)])
-    cutter.subset(font)
-    for record in font["name"].names:
-        if record.nameID in _FAMILY_IDS:
-            record.string = _FAMILY
-    path = Path(_folder().name) / "figures.ttf"
-    subset.save_font(font, str(path), options)
-    font.close()
+    path = _folder() / "figures.ttf"
+    with subset.load_font(font_manager.findfont(WHOLE_FAMILY), options) as font:
+        cutter = subset.Subsetter(options)
+        cutter.populate(unicodes=[code for first, last in _RANGES for code in range(first, last + 1)])
+        cutter.subset(font)
+        for record in font["name"].names:
+            if record.nameID in _FAMILY_IDS:
+                record.string = _FAMILY
+        subset.save_font(font, str(path), options)
     font_manager.fontManager.addfont(path)
     return _FAMILY, WHOLE_FAMILY
 
 
-@cache
-def _folder() -> tempfile.TemporaryDirectory[str]:
+def _folder() -> Path:
     """A folder that is there until the program ends: matplotlib opens the font whenever it draws."""
-    return tempfile.TemporaryDirectory(prefix="bendtrack-font-")
+    folder = tempfile.mkdtemp(prefix="bendtrack-font-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return Path(folder)
