@@ -13,8 +13,9 @@ from safetensors.torch import load_file, save_file
 
 from bendtrack.models.calibration import Calibration
 from bendtrack.models.cascade import Cascade
-from bendtrack.models.checkpoint import FORMAT, WEIGHTS_FILE, Checkpoint, load_checkpoint
+from bendtrack.models.checkpoint import Checkpoint, load_checkpoint
 from bendtrack.models.detector import NetworkDetector
+from bendtrack.models.header import FORMAT, WEIGHTS_FILE
 from bendtrack.models.regions import WorkingRegion
 from bendtrack.tracker.angle import AngleDefinition
 from bendtrack.tracker.errors import CheckpointError
@@ -93,7 +94,7 @@ def test_what_is_no_checkpoint_is_said(
     damage: str, message: str, checkpoint: Checkpoint, tmp_path: Path
 ) -> None:
     path = checkpoint.save(tmp_path)
-    header, tensors = checkpoint.header(), load_file(path)
+    header, tensors = checkpoint.to_dict(), load_file(path)
     if damage == "missing":
         path.unlink()
     elif damage == "text":
