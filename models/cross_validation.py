@@ -13,8 +13,8 @@ import numpy as np
 from ..tracker.angle import AngleDefinition
 from ..tracker.errors import TrainingError
 from ..tracker.types import LabelledFrame
-from .cascade import joined
 from .evaluation import Evaluation, evaluate
+from .finder import joined
 from .settings import TrainingSettings
 from .training import Progress, train
 

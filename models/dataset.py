@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -15,8 +16,8 @@ from numpy.typing import NDArray
 from ..tracker.errors import LabelError
 from ..tracker.types import FloatArray, ImageArray, LabelledFrame
 from . import augment
-from .regions import PATCH_SIDE, WorkingRegion, patch_directions
-from .views import View, centred_view, resize, resized_view
+from .regions import WorkingRegion, patch_directions
+from .views import PATCH_SIDE, View, centred_view, patch_view, resize, resized_view
 
 Rng = np.random.Generator
 BoolArray = NDArray[np.bool_]
@@ -77,12 +78,17 @@ def read_image(frame: LabelledFrame) -> ImageArray:
     LabelError
         If the file is missing or not a picture.
     """
+    return read_picture(frame.image_path)
+
+
+def read_picture(path: Path) -> ImageArray:
+    """A picture file as RGB uint8 (H, W, 3); errors as `read_image`."""
     # Bytes first: OpenCV opens no path beyond the Latin ones on Windows, and prints warnings of its own.
     # A camera's orientation tag is ignored, as the labelling tools and the label store ignore it.
-    raw = np.fromfile(frame.image_path, np.uint8) if frame.image_path.is_file() else np.empty(0, np.uint8)
+    raw = np.fromfile(path, np.uint8) if path.is_file() else np.empty(0, np.uint8)
     data = cv2.imdecode(raw, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION) if raw.size else None
     if data is None:
-        raise LabelError(f"expected a picture at {frame.image_path}, got a missing or unreadable file")
+        raise LabelError(f"expected a picture at {path}, got a missing or unreadable file")
     return cv2.cvtColor(data, cv2.COLOR_BGR2RGB)
 
 
@@ -155,11 +161,6 @@ def refiner_batch(
             known.append(labelled)
             present.append(_in_view(xy, (PATCH_SIDE, PATCH_SIDE)) & ~_hidden(xy, mask))
     return _stack(images, targets, known, present)
-
-
-def patch_view(centre_xy: FloatArray, zoom: float, turn_rad: float) -> View:
-    """The refiner's square view around a position, direction `turn_rad` to the right."""
-    return centred_view(centre_xy, (PATCH_SIDE, PATCH_SIDE), zoom, turn_rad)
 
 
 def _in_view(xy: FloatArray, size_wh: tuple[int, int]) -> BoolArray:

@@ -1,62 +1,166 @@
-"""A checkpoint as the Detector that `tracker.tracking.track` takes."""
+"""A checkpoint as the Detector that `tracker.tracking.track` takes: with which engine, on which device.
+
+Torch is loaded only where it computes: on a GPU, or where there is no compiled engine.
+"""
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import torch
-
+from ..tracker.errors import CheckpointError
 from ..tracker.types import Detections, ImageArray
 from ..tracker.video import file_sha256
-from .checkpoint import WEIGHTS_FILE, Checkpoint, best_device, load_checkpoint
+from .compiled import ENGINES, compiled_finder, engine_record
+from .finder import Finder
+from .following import Follower
+from .header import Header, read_header, weights_file
+
+TORCH = "torch"
+CHOICES = ("auto", *ENGINES, TORCH)
+DEVICES = ("auto", "cpu", "cuda")
 
 
 class NetworkDetector:
     """Finds the keypoints of a checkpoint in frames (the `Detector` protocol of `tracker.types`).
 
-    Parameters
+    Attributes
     ----------
-    checkpoint : a trained network
-    sha256 : hash of the file it was read from, recorded with the results
-    device : where it runs; None takes the GPU when there is one
+    name : of the folder that the checkpoint lies in
+    header : what the checkpoint means
+    engine : "openvino-int8", "openvino" or "torch"
+    device : "cpu" or "cuda"
+    sha256 : hash of the checkpoint's file
     """
 
-    def __init__(self, checkpoint: Checkpoint, sha256: str, device: torch.device | None = None) -> None:
-        self.checkpoint = checkpoint
+    def __init__(
+        self, name: str, header: Header, finder: Finder, *, sha256: str, engine: str, device: str
+    ) -> None:
+        self.name = name
+        self.header = header
         self.sha256 = sha256
-        self.device = device or best_device()
-        checkpoint.network.to(self.device).eval()
+        self.engine = engine
+        self.device = device
+        self._finder = finder
 
     @classmethod
-    def load(cls, path: Path, device: torch.device | None = None) -> NetworkDetector:
-        """Read a checkpoint file or folder (errors as in `checkpoint.load_checkpoint`)."""
-        path = Path(path)
-        checkpoint = load_checkpoint(path)
-        return cls(checkpoint, file_sha256(path / WEIGHTS_FILE if path.is_dir() else path), device)
+    def load(
+        cls, path: Path, *, engine: str = "auto", device: str = "auto", threads: int | None = None
+    ) -> NetworkDetector:
+        """Read a checkpoint file or folder.
+
+        Parameters
+        ----------
+        path : the file, or the folder that it lies in
+        engine : one of `CHOICES`. "auto" takes torch on a GPU, and on a CPU the fastest compiled engine that was
+            built (`engine.build`) and passed its check, or else torch.
+        device : one of `DEVICES`. "auto" takes a GPU when there is one.
+        threads : cores for the network; None takes all
+
+        Raises
+        ------
+        CheckpointError
+            The checkpoint cannot be read, or the engine or the device asked for is not there.
+        """
+        file = weights_file(path)
+        header = read_header(file)
+        sha256 = file_sha256(file)
+        device = _device(device if engine in ("auto", TORCH) else "cpu")
+        record = None if device == "cuda" or engine == TORCH else engine_record(file, sha256)
+        passed = {} if record is None else {n: e for n, e in record["engines"].items() if e["passed"]}
+        if engine == "auto":
+            engine = min(passed, key=lambda name: float(passed[name]["cpu_ms"]), default=TORCH)
+        if engine != TORCH and engine not in passed:
+            raise CheckpointError(_why_not(engine, record))
+        in_torch = engine == TORCH
+        finder = _torch_finder(file, device, threads) if in_torch else compiled_finder(file, engine, threads)
+        name = file.resolve().parent.name
+        return cls(name, header, finder, sha256=sha256, engine=engine, device=device)
+
+    @staticmethod
+    def gpu_is_likely() -> bool:
+        """Whether torch is worth asking for a GPU: the driver's tool tells at once what torch needs seconds for."""
+        return shutil.which("nvidia-smi") is not None
 
     @property
     def keypoints(self) -> tuple[str, ...]:
         """Names of the keypoints, in the order of the arrays."""
-        return self.checkpoint.keypoints
+        return self.header.keypoints
 
     @property
     def batch_size(self) -> int:
         """A CPU's caches hold the maps of a few frames; a GPU wants many, as long as the frames are small."""
-        most = 64 if self.device.type == "cuda" else 4
-        largest = max(w * h for w, h in (region.frame_wh for region in self.checkpoint.regions))
+        most = 64 if self.device == "cuda" else 4
+        largest = max(w * h for w, h in (region.frame_wh for region in self.header.regions))
         return max(1, min(most, most * 2 * 640 * 480 // largest))
 
     @property
     def provenance(self) -> Mapping[str, Any]:
-        """What identifies the output: the checkpoint's hash. The device changes it by rounding only."""
+        """What identifies the output for a video. A GPU changes what is found in a frame by rounding only."""
         return {
             "checkpoint_sha256": self.sha256,
-            "backbone": self.checkpoint.backbone,
-            "engine": "torch float32",
+            "backbone": self.header.backbone,
+            "engine": self.engine,
+            "follows": self._follows,
         }
 
     def detect(self, frames: ImageArray) -> Detections:
-        """Keypoints of RGB frames (N, H, W, 3) uint8."""
-        return self.checkpoint.detect(frames)
+        """Keypoints of RGB frames (N, H, W, 3) uint8, each found by itself."""
+        h, w = frames[0].shape[:2]
+        region = self.header.region_for((w, h))
+        return self.header.calibrated(self._finder.detect(frames, region, self.header.partner), region)
+
+    def for_video(self) -> NetworkDetector | FollowingDetector:
+        """A detector for the frames of one video in their order."""
+        return FollowingDetector(self, Follower(self._finder, self.header)) if self._follows else self
+
+    @property
+    def _follows(self) -> bool:
+        # A GPU is quicker with many frames at once, which can only be searched.
+        return self.device != "cuda"
+
+
+class FollowingDetector:
+    """A `NetworkDetector` that follows the keypoints through one video."""
+
+    def __init__(self, own: NetworkDetector, follower: Follower) -> None:
+        self.keypoints = own.keypoints
+        self.batch_size = own.batch_size
+        self.provenance = own.provenance
+        self.detect = follower.detect
+
+
+def _device(wanted: str) -> str:
+    if wanted == "cpu" or (wanted == "auto" and not NetworkDetector.gpu_is_likely()):
+        return "cpu"
+    import torch
+
+    if torch.cuda.is_available():
+        return "cuda"
+    if wanted == "cuda":
+        raise CheckpointError("--device cuda: expected a GPU that torch can use, got none")
+    return "cpu"
+
+
+def _torch_finder(file: Path, device: str, threads: int | None) -> Finder:
+    import torch
+
+    from .checkpoint import load_checkpoint
+
+    if threads is not None:
+        torch.set_num_threads(threads)
+    return load_checkpoint(file).network.to(torch.device(device)).finder()
+
+
+def _why_not(engine: str, record: Mapping[str, Any] | None) -> str:
+    if record is None:
+        return f"--engine {engine}: expected a compiled network, got none: `bendtrack train` builds it"
+    tried = record["engines"].get(engine)
+    if tried is None:
+        return f"--engine {engine}: expected labelled frames to fit it to when it was built, got too few"
+    return (
+        f"--engine {engine}: expected to stay within its limits, got {tried['drift_px']} px and"
+        f" {tried['drift_deg']} degrees of drift from float32"
+    )

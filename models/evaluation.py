@@ -17,9 +17,9 @@ from ..tracker.angle import AngleDefinition, bending_angle, end_vector_px, label
 from ..tracker.atomic import atomic_write_text
 from ..tracker.errors import LabelError
 from ..tracker.types import Detections, FloatArray, LabelledFrame
-from .cascade import joined
 from .checkpoint import Checkpoint
 from .dataset import read_image
+from .finder import joined
 
 
 @dataclass(frozen=True)

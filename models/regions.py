@@ -14,16 +14,13 @@ from typing import Any
 import numpy as np
 
 from ..tracker.types import FloatArray
-from .views import View, resized_view
+from .views import PATCH_SIDE, View, resized_view
 
 LOCATOR_SIDE = 160
 """Input px of the working region's long side, unless that would make the body too small."""
 
 LOCATOR_BODY = 56
 """The body's length must cover at least so many input px (14 heatmap cells)."""
-
-PATCH_SIDE = 64
-"""Side of the refiner's square input in px."""
 
 PATCH_BODY_SHARE = 0.15
 """A patch shows so much of the body's length: enough to see what the keypoint belongs to."""

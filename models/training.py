@@ -24,11 +24,12 @@ from ..tracker.atomic import atomic_write_text
 from ..tracker.errors import LabelError, TrainingError
 from ..tracker.types import Detections, FloatArray, LabelledFrame
 from .calibration import calibrate
-from .cascade import Cascade, joined
+from .cascade import Cascade
 from .checkpoint import Checkpoint, best_device
 from .consensus import consensus
 from .dataset import Batch, locator_batch, prepare, read_image, refiner_batch
 from .evaluation import frame_id
+from .finder import LOCATOR_MULTIPLE, joined
 from .heatmaps import heatmap_loss
 from .held_out import split
 from .initialisation import load_backbone, resolve_init, starting_weights
@@ -176,8 +177,7 @@ class _Trainer:
         self.targets = labels.copy()
         # Pictures are kept for evaluation at the scales that detection cuts itself.
         self.pictures = pictures
-        multiple = self.network.locator_multiple
-        widest = [max(r.locator_view(multiple).size_wh[i] for r in self.regions) for i in (0, 1)]
+        widest = [max(r.locator_view(LOCATOR_MULTIPLE).size_wh[i] for r in self.regions) for i in (0, 1)]
         self.crop_wh = (min(widest[0], LOCATOR_SIDE), min(widest[1], LOCATOR_SIDE))
 
     @property

@@ -13,6 +13,9 @@ import numpy as np
 
 from ..tracker.types import FloatArray, ImageArray
 
+PATCH_SIDE = 64
+"""Side of the refiner's square input in px."""
+
 
 @dataclass(frozen=True)
 class View:
@@ -41,11 +44,6 @@ class View:
         """Positions (..., 2) of the input in source px."""
         return (xy - self.matrix[:, 2]) @ np.linalg.inv(self.matrix[:, :2]).T
 
-    def covariance_to_source(self, covariance: FloatArray) -> FloatArray:
-        """Covariances (..., 2, 2) of input positions as covariances of source positions."""
-        inverse = np.linalg.inv(self.matrix[:, :2])
-        return inverse @ covariance @ inverse.T
-
     def after(self, first: View) -> View:
         """This view of what `first` shows, as one view."""
         matrix = self.matrix[:, :2] @ first.matrix
@@ -61,6 +59,11 @@ def centred_view(
     turn = np.array([[c, s], [-s, c]])
     middle = (np.array(size_wh) - 1) / 2
     return View(np.column_stack([turn, middle - turn @ centre_xy]), size_wh)
+
+
+def patch_view(centre_xy: FloatArray, zoom: float, turn_rad: float) -> View:
+    """The refiner's square view around a position, direction `turn_rad` to the right."""
+    return centred_view(centre_xy, (PATCH_SIDE, PATCH_SIDE), zoom, turn_rad)
 
 
 def resized_view(scale: float, offset_xy: tuple[int, int], size_wh: tuple[int, int]) -> View:

@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 
 from bendtrack.labeling.store import LabelStore, image_name
+from bendtrack.models.engine import build_beside
 from bendtrack.tracker.cli import app
 from bendtrack.tracker.project import Project
 from bendtrack.tracker.video_writer import VideoWriter
@@ -167,6 +168,8 @@ def trained_once(tmp_path_factory: pytest.TempPathFactory, bendtrack: Bendtrack)
     make_project(root, TINY_TRAINING)
     ran = bendtrack("train", root, "--quiet")
     assert ran.status == 0, ran.err
+    # Compiled once here, or every test that tracks would wait for it.
+    build_beside(root / "models" / "model")
     return root
 
 

@@ -19,7 +19,7 @@ from .angle import AngleDefinition, bending_angle
 from .errors import AngleError
 from .read_ahead import read_ahead
 from .results import AngleTable, json_ready
-from .types import Detector, Flag, FloatArray, ImageArray
+from .types import Detector, Flag, FloatArray, ImageArray, VideoDetector
 from .video import Video, file_sha256
 
 # DeepLabCut's pcutoff, which users know.
@@ -56,7 +56,7 @@ def track(
     Parameters
     ----------
     video : the video file
-    detector : finds keypoints in frames
+    detector : finds keypoints in frames; a `VideoDetector` is asked for one of its own for this video
     definition : which angle, of which of the detector's keypoints
     min_likelihood : a row with a keypoint of the angle below this is flagged `low_likelihood`
     progress : called after each batch with the number of frames done and the number claimed by the file
@@ -79,6 +79,8 @@ def track(
         raise AngleError(
             f"the angle needs keypoint '{missing[0]}', the detector finds {', '.join(detector.keypoints)}"
         )
+    if isinstance(detector, VideoDetector):
+        detector = detector.for_video()
     source = Video(video)
     k = len(detector.keypoints)
     time_s: list[float] = []

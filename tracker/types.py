@@ -19,7 +19,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,6 +88,14 @@ class Detector(Protocol):
 
     def detect(self, frames: ImageArray) -> Detections:
         """Find the keypoints in RGB frames, uint8 (N, H, W, 3). N may be smaller than `batch_size`."""
+
+
+@runtime_checkable
+class VideoDetector(Detector, Protocol):
+    """A detector that does better, or sooner, when it is given the frames of one video in their order."""
+
+    def for_video(self) -> Detector:
+        """A detector for one video, fresh: it may use what it found in the frames before."""
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,9 @@ from safetensors.torch import load_file, save_file
 
 from bendtrack.models.calibration import Calibration
 from bendtrack.models.cascade import Cascade
-from bendtrack.models.checkpoint import FORMAT, WEIGHTS_FILE, Checkpoint, load_checkpoint
+from bendtrack.models.checkpoint import Checkpoint, load_checkpoint
 from bendtrack.models.detector import NetworkDetector
+from bendtrack.models.header import FORMAT, WEIGHTS_FILE
 from bendtrack.models.regions import WorkingRegion
 from bendtrack.tracker.angle import AngleDefinition
 from bendtrack.tracker.errors import CheckpointError
@@ -45,7 +46,9 @@ def test_comes_back_as_it_was(checkpoint: Checkpoint, tmp_path: Path) -> None:
     checkpoint.save(tmp_path / "model")
     again = load_checkpoint(tmp_path / "model")
     assert (
-        again.header() == checkpoint.header() == json.loads((tmp_path / "model/checkpoint.json").read_text())
+        again.to_dict()
+        == checkpoint.to_dict()
+        == json.loads((tmp_path / "model/checkpoint.json").read_text())
     )
     frames = np.random.default_rng(0).integers(0, 255, (2, 120, 160, 3), dtype=np.uint8)
     before, after = checkpoint.detect(frames), again.detect(frames)
@@ -91,7 +94,7 @@ def test_what_is_no_checkpoint_is_said(
     damage: str, message: str, checkpoint: Checkpoint, tmp_path: Path
 ) -> None:
     path = checkpoint.save(tmp_path)
-    header, tensors = checkpoint.header(), load_file(path)
+    header, tensors = checkpoint.to_dict(), load_file(path)
     if damage == "missing":
         path.unlink()
     elif damage == "text":

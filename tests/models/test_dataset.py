@@ -9,7 +9,8 @@ import pytest
 
 from bendtrack.models import augment
 from bendtrack.models.dataset import Batch, PreparedFrame, locator_batch, prepare, read_image, refiner_batch
-from bendtrack.models.regions import PATCH_SIDE, find_region, partners
+from bendtrack.models.regions import find_region, partners
+from bendtrack.models.views import PATCH_SIDE
 from bendtrack.tracker.errors import LabelError
 from bendtrack.tracker.types import LabelledFrame
 

@@ -60,13 +60,6 @@ def test_one_view_after_another_is_one_view() -> None:
     np.testing.assert_allclose(second.after(first).to_input(point), second.to_input(first.to_input(point)))
 
 
-def test_covariance_turns_and_shrinks_with_the_view() -> None:
-    view = centred_view(np.array([0.0, 0.0]), (64, 64), 2.0, np.pi / 2)
-    along_x = np.array([[4.0, 0.0], [0.0, 1.0]])
-    # The input's x is the source's y here, at twice the scale.
-    np.testing.assert_allclose(view.covariance_to_source(along_x), [[0.25, 0.0], [0.0, 1.0]], atol=1e-12)
-
-
 def test_opencv_agrees_on_pixel_centres() -> None:
     # The convention that everything above rests on: areas, not corners.
     image = np.zeros((4, 4, 3), np.uint8)

@@ -34,6 +34,7 @@ def demo(
     """
     from ...labeling.interop.dlc import import_dlc, project_for
     from ..results import read_results
+    from .engines import load_network
     from .network_commands import project_settings, train_network
     from .project_commands import print_report
     from .video_commands import track_videos
@@ -58,7 +59,7 @@ def demo(
         )
 
     talk.say("\n3. The angle in every frame of the video")
-    problems = track_videos(project, network, [video], project.results_dir, overlay=True)
+    problems = track_videos(project, load_network(network), [video], project.results_dir, overlay=True)
     if problems:
         raise BendtrackError(f"{video}: {problems[video]}")
 
@@ -116,7 +117,7 @@ def _compare(table: AngleTable, truth_path: Path, network: Path) -> None:
     import numpy as np
     import pandas as pd
 
-    from ...models.checkpoint import load_checkpoint
+    from ...models.header import read_header
     from ..angle import end_vector_px, label_noise_floor_deg
 
     truth = pd.read_csv(truth_path)
@@ -128,7 +129,7 @@ def _compare(table: AngleTable, truth_path: Path, network: Path) -> None:
     exact = truth[columns].to_numpy().reshape(len(truth), -1, 2)
     floor = label_noise_floor_deg(
         _LABEL_NOISE_PX,
-        len(load_checkpoint(network).training["trained_on"]),
+        len(read_header(network).training["trained_on"]),
         end_vector_px(exact, table.keypoints, table.definition),
     )
     angle = truth["angle_deg"]

@@ -85,8 +85,8 @@ def evaluate(
 
     In px for every keypoint, in degrees for the angle; also figures, and the frames that went worst.
     """
+    from ...models.checkpoint import load_checkpoint
     from ...models.cross_validation import cross_validate
-    from ...models.detector import NetworkDetector
     from ...models.evaluation import not_trained_on
     from ..project import Project
     from . import progress_bars
@@ -94,7 +94,7 @@ def evaluate(
     opened = Project.open(project)
     if folds is None:
         folder = model_folders.chosen(opened, model)
-        checkpoint = NetworkDetector.load(folder).checkpoint
+        checkpoint = load_checkpoint(folder)
         frames = not_trained_on(checkpoint, _labels(opened, checkpoint.keypoints))
         if not frames:
             raise LabelError(

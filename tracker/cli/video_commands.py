@@ -13,9 +13,11 @@ import typer
 
 from ..errors import BendtrackError, VideoError, reason
 from . import model_folders, talk
+from .engines import load_network
 from .project_commands import ProjectArgument
 
 if TYPE_CHECKING:
+    from ...models.detector import NetworkDetector
     from ..angle import AngleDefinition
     from ..project import Project
     from ..results import AngleTable
@@ -38,6 +40,16 @@ def track(
         bool, typer.Option("--overlay", help="Also write a video with what was found drawn on it.")
     ] = False,
     force: Annotated[bool, typer.Option("--force", help="Also what is up to date.")] = False,
+    engine: Annotated[
+        str,
+        typer.Option(help="auto, openvino-int8, openvino or torch. auto takes the fastest that is exact."),
+    ] = "auto",
+    device: Annotated[
+        str, typer.Option(help="auto, cpu or cuda. auto takes a GPU when there is one.")
+    ] = "auto",
+    threads: Annotated[
+        int | None, typer.Option(min=1, help="Cores for the network.", show_default="all")
+    ] = None,
 ) -> None:
     """Measure the bending angle over time in videos.
 
@@ -50,7 +62,7 @@ def track(
     paths = listed_videos(videos)
     folder = out or opened.results_dir
     _check_writable(folder)
-    network = model_folders.chosen(opened, model)
+    network = load_network(model_folders.chosen(opened, model), engine, device, threads)
     problems = track_videos(opened, network, paths, folder, overlay=overlay, force=force)
     if problems:
         if len(paths) > 1:
@@ -107,7 +119,13 @@ class _Job:
 
 
 def track_videos(
-    project: Project, network: Path, videos: list[Path], folder: Path, *, overlay: bool, force: bool = False
+    project: Project,
+    detector: NetworkDetector,
+    videos: list[Path],
+    folder: Path,
+    *,
+    overlay: bool,
+    force: bool = False,
 ) -> dict[Path, str]:
     """Track videos one after the other and write tables, figures and overlays.
 
@@ -115,22 +133,19 @@ def track_videos(
     -------
     The videos that failed or are damaged, and why. A damaged one is tracked as far as it goes.
     """
-    from ...models.detector import NetworkDetector
-
-    detector = NetworkDetector.load(network)
-    definition = detector.checkpoint.definition
+    definition = detector.header.definition
     angle = project.settings.angle_definition(definition.sign)
     signs = {"auto": definition.sign, "+": 1, "-": -1}
     if angle != definition or signs[project.settings.angle.sign] != definition.sign:
         talk.warn(
-            f"bendtrack.toml names another angle than '{network.name}' was trained for, which is measured"
+            f"bendtrack.toml names another angle than '{detector.name}' was trained for, which is measured"
             f" ({definition.name}, {', '.join(definition.points)}, sign {definition.sign:+d});"
             " train again for the new one"
         )
     job = _Job(detector, definition, folder)
     if project.settings.tracking.min_likelihood is not None:
         job.options["min_likelihood"] = project.settings.tracking.min_likelihood
-    talk.say(f"Network: {network.name} ({detector.checkpoint.backbone}, {detector.device})")
+    talk.say(f"Network: {detector.name} ({detector.header.backbone}, {detector.engine} on {detector.device})")
     problems: dict[Path, str] = {}
     for video in videos:
         try:

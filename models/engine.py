@@ -1,0 +1,268 @@
+"""The fast engine: a checkpoint's networks compiled for the CPU, in float32 and in 8-bit integers.
+
+Built once beside the checkpoint and keyed by its hash. What rounding to integers does is measured on labelled frames
+that it was not fitted on: an engine that moves keypoints or angles by more than `MAX_DRIFT` allows is refused. How
+the files are run is in `compiled.py`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import logging
+import os
+import time
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import openvino
+import torch
+from torch import Tensor, nn
+
+from ..tracker.angle import bending_angle
+from ..tracker.atomic import atomic_path, atomic_write_text
+from ..tracker.errors import CheckpointError
+from ..tracker.types import Detections, ImageArray
+from ..tracker.video import file_sha256
+from .cascade import Cascade
+from .checkpoint import Checkpoint, load_checkpoint
+from .compiled import ENGINES, FORMAT, PARTS, RECORD, CompiledReader, engine_folder
+from .dataset import read_picture
+from .finder import Finder, Reader, joined
+from .header import weights_file
+from .heatmaps import decode
+from .network import HeatmapNetwork, Maps
+
+MAX_DRIFT_PX = 0.1
+MAX_DRIFT_DEG = 0.1
+"""Root mean squares over labelled frames, against float32 in torch."""
+
+LEAST_FRAMES = 4
+"""Labelled frames without which the integers' ranges are not looked for."""
+
+
+@dataclass(frozen=True)
+class Drift:
+    """What an engine changes against float32 in torch: root mean squares over frames."""
+
+    px: float
+    deg: float
+
+    @property
+    def acceptable(self) -> bool:
+        """Whether the engine may be used."""
+        return self.px <= MAX_DRIFT_PX and self.deg <= MAX_DRIFT_DEG
+
+
+def build_beside(path: Path) -> dict[str, Any]:
+    """Build the engines of a project's checkpoint from its labelled pictures, as far as they are still there.
+
+    Parameters
+    ----------
+    path : the checkpoint's file or folder, in models/<name>/ of a project
+
+    Returns
+    -------
+    `build`'s record.
+
+    Raises
+    ------
+    CheckpointError
+        The checkpoint cannot be read, or the engine not be written.
+    """
+    file = weights_file(path)
+    checkpoint = load_checkpoint(file)
+    labels = file.resolve().parents[2] / "labeled-data"
+    known = [labels / name for name in checkpoint.training.get("trained_on", [])]
+    frames = [read_picture(path) for path in known if path.is_file()]
+    return build(checkpoint, file, file_sha256(file), frames)
+
+
+def build(
+    checkpoint: Checkpoint, checkpoint_file: Path, sha256: str, frames: Sequence[ImageArray]
+) -> dict[str, Any]:
+    """Compile a checkpoint's networks, and write the engines that pass with a record of what was measured.
+
+    Parameters
+    ----------
+    frames : labelled pictures (H, W, 3) uint8; every second one fits the integers' ranges, the others judge
+
+    Returns
+    -------
+    The record. Its "engines" maps each engine tried to its drift in px and degrees, whether it passed, and its CPU
+    time for a frame in ms.
+
+    Raises
+    ------
+    CheckpointError
+        The files cannot be written.
+    """
+    folder = engine_folder(checkpoint_file)
+    network = checkpoint.network.float().cpu().eval()
+    fit, judge = frames[::2], frames[1::2]
+    kept = _Keeping(network)
+    for frame in fit:
+        _found(kept.finder, checkpoint, [frame])
+    with _in_private():
+        maps = {part: _converted(getattr(network, part)) for part in PARTS}
+    in_integers, in_floats = ENGINES
+    candidates: dict[str, Callable[[str], openvino.Model]] = {in_floats: lambda part: maps[part].clone()}
+    if len(frames) >= LEAST_FRAMES:
+        candidates[in_integers] = lambda part: _in_integers(maps[part], kept.pictures[part])
+    engines: dict[str, Any] = {}
+    # Without labelled pictures anything will do to see that a plain compilation does what torch does.
+    judge = judge or [np.random.default_rng(0).integers(0, 255, (480, 640, 3), dtype=np.uint8)]
+    reference = _found(network.finder(), checkpoint, judge)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, make in candidates.items():
+            with _in_private():
+                models = {part: _with_votes(make(part)) for part in PARTS}
+            finder = Finder(*(CompiledReader(models[part], threads=1) for part in PARTS))
+            begun = time.process_time()
+            drift = _drift(_found(finder, checkpoint, judge), reference, checkpoint)
+            taken = time.process_time() - begun
+            engines[name] = {
+                "drift_px": round(drift.px, 5),
+                "drift_deg": round(drift.deg, 5),
+                "passed": drift.acceptable,
+                "cpu_ms": round(1e3 * taken / len(judge), 2),
+            }
+            if drift.acceptable:
+                for part, model in models.items():
+                    _save(model, folder / f"{part}-{name}.xml")
+        record = {
+            "format": FORMAT,
+            "checkpoint_sha256": sha256,
+            "openvino": openvino.__version__,
+            "frames_fitted": len(fit) if in_integers in engines else 0,
+            "frames_judged": len(frames[1::2]),
+            "engines": engines,
+        }
+        atomic_write_text(folder / RECORD, json.dumps(record, indent=2) + "\n")
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise CheckpointError(f"{folder}: the engine cannot be written ({reason})") from error
+    return record
+
+
+class _Keeping:
+    """The networks in float32, keeping every picture that they are shown, by part."""
+
+    def __init__(self, network: Cascade) -> None:
+        own = network.finder()
+        self.pictures: dict[str, list[ImageArray]] = {part: [] for part in PARTS}
+        self.finder = Finder(self._kept("locator", own.locate), self._kept("refiner", own.refine))
+
+    def _kept(self, part: str, reader: Reader) -> Reader:
+        def read(pictures: ImageArray) -> Detections:
+            self.pictures[part].append(pictures)
+            return reader(pictures)
+
+        return read
+
+
+class _Votes(nn.Module):
+    """Maps to positions: `heatmaps.decode` as a network's last layer."""
+
+    def forward(self, heat: Tensor, offset: Tensor, spread: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        found = decode(Maps(heat, offset, spread))
+        return found.xy, found.likelihood, found.covariance
+
+
+class _AsTuple(nn.Module):
+    def __init__(self, network: HeatmapNetwork) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, images: Tensor) -> tuple[Tensor, ...]:
+        return tuple(self.network(images))
+
+
+def _converted(network: HeatmapNetwork) -> openvino.Model:
+    """A network up to its maps, for pictures of any size and number."""
+    example = torch.zeros((2, 3, 64, 64), dtype=torch.uint8)
+    return openvino.convert_model(
+        _AsTuple(network), example_input=example, input=[openvino.PartialShape([-1, 3, -1, -1])]
+    )
+
+
+def _in_integers(maps: openvino.Model, pictures: Sequence[ImageArray]) -> openvino.Model:
+    """A network in 8-bit integers, their ranges fitted to pictures.
+
+    Only up to the maps: where heat is rounded to 256 levels, the peak is a tie between cells.
+    """
+    import nncf
+
+    return nncf.quantize(
+        maps, nncf.Dataset(list(pictures)), subset_size=len(pictures), fast_bias_correction=False
+    )
+
+
+def _with_votes(maps: openvino.Model) -> openvino.Model:
+    """A network up to its maps, and on to positions."""
+    heads = [result.input_value(0) for result in maps.get_results()]
+    k = heads[0].get_partial_shape()[1].get_length()
+    example = (torch.zeros(2, k, 16, 16), torch.zeros(2, k, 2, 16, 16), torch.zeros(2, k, 3, 16, 16))
+    votes = openvino.convert_model(_Votes(), example_input=example)
+    for parameter, head in zip(votes.get_parameters(), heads, strict=True):
+        parameter.output(0).replace(head)
+    return openvino.Model(votes.get_results(), maps.get_parameters(), "bendtrack")
+
+
+def _found(finder: Finder, checkpoint: Checkpoint, frames: Sequence[ImageArray]) -> Detections:
+    found = []
+    for frame in frames:
+        h, w = frame.shape[:2]
+        found.append(finder.detect(frame[None], checkpoint.region_for((w, h)), checkpoint.partner))
+    return joined(found)
+
+
+def _drift(found: Detections, reference: Detections, checkpoint: Checkpoint) -> Drift:
+    angles = [
+        bending_angle(one.xy, checkpoint.keypoints, checkpoint.definition)[0] for one in (found, reference)
+    ]
+    distance = np.linalg.norm(found.xy - reference.xy, axis=2)
+    known = ~np.isnan(angles[0] - angles[1])
+    return Drift(
+        float(np.sqrt(np.mean(distance**2))), float(np.sqrt(np.mean((angles[0] - angles[1])[known] ** 2)))
+    )
+
+
+def _save(model: openvino.Model, path: Path) -> None:
+    """Write a model's two files; the .xml, which counts, last."""
+    with atomic_path(path) as temporary, atomic_path(path.with_suffix(".bin")) as weights:
+        openvino.serialize(model, temporary, weights)
+
+
+@contextmanager
+def _in_private() -> Iterator[None]:
+    """The converters at work without a word on the terminal, and without reports of their use to their makers.
+
+    Both send such reports unless they believe that they run on a test machine.
+    """
+    wanted = {"CI": "true", "NNCF_CI": "1"}
+    before = {name: os.environ.get(name) for name in wanted}
+    loggers = [logging.getLogger(name) for name in ("nncf", "torch.utils.cpp_extension")]
+    levels = [logger.level for logger in loggers]
+    os.environ.update(wanted)
+    for logger in loggers:
+        logger.setLevel(logging.ERROR)
+    try:
+        with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)
