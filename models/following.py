@@ -70,11 +70,11 @@ class Follower:
         """Find keypoints near foretold positions (N, K, 2); frames in which that fails are searched."""
         found = self._refined(frames, foretold)
         far = self._distance(found.xy, foretold) > REACH_PATCH_PX
-        again = np.flatnonzero((far & self._seen(found)).any(axis=1) & self._seen(found).all(axis=1))
-        if again.size:
+        again = np.flatnonzero(far.any(axis=1) & self._seen(found).all(axis=1)).tolist()
+        if again:
             found = _with(found, again, self._refined([frames[i] for i in again], found.xy[again]))
-        lost = np.flatnonzero(~self._seen(found).all(axis=1))
-        if lost.size:
+        lost = np.flatnonzero(~self._seen(found).all(axis=1)).tolist()
+        if lost:
             found = _with(found, lost, self._search([frames[i] for i in lost]))
         return found
 
@@ -101,7 +101,7 @@ class Follower:
         return distance
 
 
-def _with(found: Detections, rows: np.ndarray, others: Detections) -> Detections:
+def _with(found: Detections, rows: Sequence[int], others: Detections) -> Detections:
     """Detections with some rows replaced."""
     replaced = {}
     for name in ("xy", "likelihood", "covariance"):

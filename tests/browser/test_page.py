@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from desk import KEYPOINTS
 from playwright.sync_api import expect
 
 from bendtrack.labeling.store import LabelStore, image_name
 from bendtrack.tracker.angle import DEFINITIONS, AngleDefinition, bending_angle
 from bendtrack.tracker.project import Project
 
-KEYPOINTS = ("base_1", "base_2", "tip_1", "tip_2")
 RNG_SEED = 7
 
 
@@ -238,14 +238,14 @@ def test_tone_theme_help_and_loupe(labeller) -> None:
     page.wait_for_selector("#stage[data-frame]")
     assert page.evaluate(dark) != before  # remembered
     labeller.press("?")
-    assert page.locator("#help[open]").is_visible()
+    expect(page.locator("#help[open]")).to_be_visible()
     assert "next frame" in page.locator("#help").inner_text()
     labeller.press("Escape")
-    assert not page.locator("#help").is_visible()
+    expect(page.locator("#help")).not_to_be_visible()
     page.mouse.move(*labeller.screen(np.array([300.0, 200.0])))
-    assert page.locator("#loupe").is_visible()
+    expect(page.locator("#loupe")).to_be_visible()
     labeller.press("l")
-    assert not page.locator("#loupe").is_visible()
+    expect(page.locator("#loupe")).not_to_be_visible()
 
 
 def points_shown(labeller) -> np.ndarray:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-
-KEYPOINTS = ("base_1", "base_2", "tip_1", "tip_2")
+from desk import KEYPOINTS
 
 
 def test_five_frames_of_the_sample_trial(labeller, sample_truth, capsys) -> None:
