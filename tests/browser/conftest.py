@@ -36,7 +36,9 @@ def browser_file() -> str:
 @pytest.fixture(scope="session")
 def chromium(browser_file: str) -> Iterator[Browser]:
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=browser_file, args=["--no-sandbox", "--disable-gpu"])
+        browser = playwright.chromium.launch(
+            executable_path=browser_file, args=["--no-sandbox", "--disable-gpu"]
+        )
         yield browser
         browser.close()
 
