@@ -22,7 +22,10 @@ LOCATOR_STAGES = 3
 training step and found nothing more."""
 
 REFINER_STAGES = 2
-"""Two stages see a whole patch."""
+REFINER_CONVOLUTIONS = 2
+REFINER_WIDTH = 32
+"""Two stages see a whole patch, also with half of their blocks; one stage does not, and takes one end for another.
+Nor is anything gained by a wider way up."""
 
 assert LOCATOR_MULTIPLE == 2 ** (LOCATOR_STAGES + 1)
 
@@ -39,7 +42,17 @@ class Cascade(nn.Module):
     def __init__(self, backbone: str, n_keypoints: int) -> None:
         super().__init__()
         self.locator = HeatmapNetwork(backbone, LOCATOR_STAGES, n_keypoints)
-        self.refiner = HeatmapNetwork(backbone, REFINER_STAGES, n_keypoints)
+        self.refiner = HeatmapNetwork(
+            backbone, REFINER_STAGES, n_keypoints, convolutions=REFINER_CONVOLUTIONS, width=REFINER_WIDTH
+        )
+
+    @classmethod
+    def of(cls, locator: HeatmapNetwork, refiner: HeatmapNetwork) -> Cascade:
+        """Two networks as one cascade, sharing their weights."""
+        whole = cls.__new__(cls)
+        nn.Module.__init__(whole)
+        whole.locator, whole.refiner = locator, refiner
+        return whole
 
     def finder(self) -> Finder:
         """The networks at work in float32, where their weights lie."""

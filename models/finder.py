@@ -6,15 +6,16 @@ of it. The networks themselves are in `cascade.py`, compiled ones in `engine.py`
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..tracker.types import Detections, FloatArray, ImageArray
 from .regions import WorkingRegion, patch_directions
-from .views import View, patch_view, resize, resized_view
+from .views import PATCH_SIDE, View, patch_view, resize, resized_view
 
 LOCATOR_MULTIPLE = 16
 """The locator's input sides are multiples of this: its three stages halve them four times."""
@@ -22,6 +23,13 @@ LOCATOR_MULTIPLE = 16
 COLLAPSE_LIKELIHOOD = 0.15
 """A keypoint whose peak in the working region is under this is sought in the whole frame: a bend beyond the labelled
 ones may carry the tip out of the region. (Peaks of what is there are 0.4 to 0.9.)"""
+
+GRID_PATCH_PX = 4.0
+GRID_TURN_DEG = 3.0
+"""Where patches can be, and how they can be turned. Half a step of either is little beside what training varies."""
+
+MOST_LOOKS = 3
+"""Patches of a keypoint in a frame: around where it may be, around what was found, and once more."""
 
 MAX_INPUT_PX = 1 << 20
 """Input px that go through a network at once: its first layer's maps take 64 bytes for each."""
@@ -32,6 +40,33 @@ class Reader(Protocol):
 
     def __call__(self, pictures: ImageArray) -> Detections:
         """Every keypoint in pictures (N, 3, H, W) uint8 RGB, positions and covariances in their own px."""
+
+
+IntArray = NDArray[np.int_]
+BoolArray = NDArray[np.bool_]
+Frames = Sequence[ImageArray] | ImageArray
+"""RGB frames of one size, (N, H, W, 3) uint8."""
+
+
+Cell = tuple[int, int]
+"""Which frame and which keypoint of a detection."""
+
+Look = Callable[[Sequence[Cell], IntArray], Detections]
+"""From M cells and their places (M, 3) to what is found there, (M, 1)."""
+
+
+@dataclass(frozen=True)
+class Patch:
+    """What the refiner is shown of a frame for one keypoint.
+
+    Attributes
+    ----------
+    picture : (PATCH_SIDE, PATCH_SIDE, 3) uint8
+    view : from frame px to patch px
+    """
+
+    picture: ImageArray
+    view: View
 
 
 @dataclass(frozen=True)
@@ -47,16 +82,21 @@ class Finder:
     locate: Reader
     refine: Reader
 
-    def detect(
-        self, frames: Sequence[ImageArray] | ImageArray, region: WorkingRegion, partner: Sequence[int]
-    ) -> Detections:
-        """Find the keypoints in RGB frames of one size, (N, H, W, 3) uint8, each by itself.
+    def detect(self, frames: Frames, region: WorkingRegion, partner: Sequence[int]) -> Detections:
+        """Find the keypoints in frames of one size, each by itself.
 
         Parameters
         ----------
         region : where to look, made for frames of this size (`Header.region_for`)
         partner : from `regions.partners`
         """
+        xy, likelihood = self.located(frames, region)
+        found = self.refined(frames, xy, region, partner)
+        # Both must have seen it: a locator that guesses through a hand, or a patch that shows something else.
+        return Detections(found.xy, np.minimum(likelihood, found.likelihood), found.covariance)
+
+    def located(self, frames: Frames, region: WorkingRegion) -> tuple[FloatArray, FloatArray]:
+        """Rough positions (N, K, 2) px and likelihoods (N, K), from the working region or else the whole frame."""
         xy, likelihood = self._located(frames, region)
         everything = region.whole_frame()
         lost = np.flatnonzero(likelihood.min(axis=1) < COLLAPSE_LIKELIHOOD).tolist()
@@ -64,48 +104,98 @@ class Finder:
             elsewhere, score = self._located(frames[i : i + 1], everything)
             better = (score[0] > likelihood[i]) & (likelihood[i] < COLLAPSE_LIKELIHOOD)
             xy[i, better], likelihood[i, better] = elsewhere[0, better], score[0, better]
-        found = self.refined(frames, xy, region, partner)
-        # Both must have seen it: a locator that guesses through a hand, or a patch that shows something else.
-        return Detections(found.xy, np.minimum(likelihood, found.likelihood), found.covariance)
+        return xy, likelihood
 
     def refined(
-        self,
-        frames: Sequence[ImageArray] | ImageArray,
-        xy: FloatArray,
-        region: WorkingRegion,
-        partner: Sequence[int],
+        self, frames: Frames, xy: FloatArray, region: WorkingRegion, partner: Sequence[int]
     ) -> Detections:
         """Look closely at each keypoint, near where it is thought to be, xy (N, K, 2) px."""
-        n, k = xy.shape[:2]
-        views: list[View] = []
-        patches: list[ImageArray] = []
-        for frame, located in zip(frames, xy, strict=True):
-            fine, fine_view = _fine_picture(frame, located, region)
-            points = fine_view.to_input(located)
-            directions = patch_directions(points, partner)
-            for i in range(k):
-                view = patch_view(points[i], region.magnification, directions[i])
-                patches.append(view.cut(fine))
-                views.append(view.after(fine_view))
-        read = _read(self.refine, patches)
-        own = np.arange(n * k)
-        channel = own % k
-        matrices = np.stack([view.matrix for view in views])
-        inverse = np.linalg.inv(matrices[:, :, :2])
-        refined = np.einsum("nij,nj->ni", inverse, read.xy[own, channel] - matrices[:, :, 2])
-        covariance = inverse @ read.covariance[own, channel] @ inverse.transpose(0, 2, 1)
-        return Detections(
-            refined.reshape(n, k, 2),
-            read.likelihood[own, channel].reshape(n, k),
-            covariance.reshape(n, k, 2, 2),
-        )
 
-    def _located(
-        self, frames: Sequence[ImageArray] | ImageArray, region: WorkingRegion
-    ) -> tuple[FloatArray, FloatArray]:
+        def look(cells: Sequence[Cell], at: IntArray) -> Detections:
+            patches = [cut_patch(frames[i], place, region) for (i, _), place in zip(cells, at, strict=True)]
+            return self.read(patches, [k for _, k in cells])
+
+        found = foretold(xy)
+        settle(found, np.ones(xy.shape[:2], bool), look, region, partner)
+        return found
+
+    def read(self, patches: Sequence[Patch], keypoint: Sequence[int] | np.ndarray) -> Detections:
+        """What the refiner finds in M patches, each asked for one keypoint: detections (M, 1), in frame px."""
+        read = _read(self.refine, [patch.picture for patch in patches])
+        own = np.arange(len(patches))
+        matrices = np.stack([patch.view.matrix for patch in patches])
+        inverse = np.linalg.inv(matrices[:, :, :2])
+        xy = np.einsum("nij,nj->ni", inverse, read.xy[own, keypoint] - matrices[:, :, 2])
+        covariance = inverse @ read.covariance[own, keypoint] @ inverse.transpose(0, 2, 1)
+        return Detections(xy[:, None], read.likelihood[own, keypoint, None], covariance[:, None])
+
+    def _located(self, frames: Frames, region: WorkingRegion) -> tuple[FloatArray, FloatArray]:
         view = region.locator_view(LOCATOR_MULTIPLE)
         read = _read(self.locate, [_region_picture(frame, region, view) for frame in frames])
         return view.to_source(read.xy), read.likelihood.copy()
+
+
+def foretold(xy: FloatArray) -> Detections:
+    """Positions (N, K, 2) px where keypoints may be, that nobody has seen there yet."""
+    n, k = xy.shape[:2]
+    return Detections(xy.copy(), np.zeros((n, k)), np.zeros((n, k, 2, 2)))
+
+
+def places(near: FloatArray, region: WorkingRegion, partner: Sequence[int]) -> IntArray:
+    """Where patches are cut for keypoints thought to be at `near` (..., K, 2) px: grid numbers (..., K, 3).
+
+    They are middle x, middle y and turn, upright by each keypoint's partner. Where a patch is cut shifts what is found
+    in it by a tenth of a px; on a grid, a keypoint is looked at in the same way whoever said where it may be.
+    """
+    return np.rint(on_grid(near, region, partner)).astype(int)
+
+
+def on_grid(near: FloatArray, region: WorkingRegion, partner: Sequence[int]) -> FloatArray:
+    """`places` before they are rounded."""
+    middle = near * (region.refiner_scale / GRID_PATCH_PX)
+    turn = patch_directions(near, partner) / np.deg2rad(GRID_TURN_DEG)
+    return np.concatenate([middle, turn[..., None]], axis=-1)
+
+
+def cut_patch(frame: ImageArray, place: IntArray, region: WorkingRegion) -> Patch:
+    """The patch of a frame at a place (3,)."""
+    middle = place[:2] * (GRID_PATCH_PX / region.refiner_scale)
+    source, source_view = _around(frame, middle, region)
+    turn = float(place[2] * np.deg2rad(GRID_TURN_DEG))
+    view = patch_view(source_view.to_input(middle), region.magnification, turn)
+    return Patch(view.cut(source), view.after(source_view))
+
+
+def settle(
+    found: Detections, wanted: BoolArray, look: Look, region: WorkingRegion, partner: Sequence[int]
+) -> None:
+    """Look where keypoints may be, then around what was found there, until each is where it is looked for.
+
+    Who begins a little off ends at the same patch, and so at the same position. A keypoint between two places, each of
+    which points to the other, is at the mean of what is found in both.
+
+    Parameters
+    ----------
+    found : where they may be, (N, K); what is found is written into it
+    wanted : (N, K) bool, which are to be looked for; it is changed
+    """
+    values = (found.xy, found.likelihood, found.covariance)
+    at = places(found.xy, region, partner)
+    before = np.full_like(at, np.iinfo(at.dtype).min)
+    for _ in range(MOST_LOOKS):
+        if not wanted.any():
+            break
+        earlier = [value.copy() for value in values]
+        cells = np.nonzero(wanted)
+        seen = look(list(zip(*(index.tolist() for index in cells), strict=True)), at[cells])
+        for value, new in zip(values, (seen.xy, seen.likelihood, seen.covariance), strict=True):
+            value[cells] = new[:, 0]
+        following = places(found.xy, region, partner)
+        between = wanted & (following == before).all(axis=2)
+        for value, old in zip(values, earlier, strict=True):
+            value[between] = (value[between] + old[between]) / 2
+        wanted &= (following != at).any(axis=2) & ~between
+        before, at = at, following
 
 
 def joined(parts: Sequence[Detections]) -> Detections:
@@ -138,14 +228,15 @@ def _region_picture(frame: ImageArray, region: WorkingRegion, view: View) -> Ima
     return np.pad(small, ((0, missing_h), (0, missing_w), (0, 0)), mode="edge")
 
 
-def _fine_picture(frame: ImageArray, located: FloatArray, region: WorkingRegion) -> tuple[ImageArray, View]:
-    """What patches are cut from: the frame, or where the refiner looks at it smaller, the body's part of it."""
+def _around(frame: ImageArray, middle: FloatArray, region: WorkingRegion) -> tuple[ImageArray, View]:
+    """What a patch is cut from: the frame, or where the refiner looks at it smaller, that part of it made smaller."""
     scale = region.fine_scale
     h, w = frame.shape[:2]
     if scale == 1.0:
         return frame, resized_view(1.0, (0, 0), (w, h))
-    reach = 64 / scale
-    left, top = (int(v) for v in np.clip(located.min(axis=0) - reach, 0, (w - 2, h - 2)))
-    right, bottom = (int(v) for v in np.clip(located.max(axis=0) + reach, (left + 2, top + 2), (w, h)))
-    box = resize(frame[top:bottom, left:right], scale)
-    return box, resized_view(scale, (left, top), (box.shape[1], box.shape[0]))
+    # Half of a turned patch's diagonal, and a little for the interpolation.
+    reach = (PATCH_SIDE * 0.71 + 2) / scale
+    left, top = (int(v) for v in np.clip(middle - reach, 0, (w - 2, h - 2)))
+    right, bottom = (int(v) for v in np.clip(middle + reach + 1, (left + 2, top + 2), (w, h)))
+    part = resize(frame[top:bottom, left:right], scale)
+    return part, resized_view(scale, (left, top), (part.shape[1], part.shape[0]))

@@ -1,36 +1,65 @@
 """Following keypoints through a video: where they were tells where to look next, so the locator mostly rests.
 
-What is found is the refiner's word alone, as in single frames; the past only says where its patches are cut. Wherever
-a patch does not show what it should, and every so often in any case, the frame is searched as if it were the first.
+What is found is the refiner's word alone, as in single frames; the past only says where its patches are cut, and what
+a patch shows that shows the same as before. Wherever a patch does not show what it should, the frame is searched as if
+it were the first; and every so often the locator says whether it would look elsewhere.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..tracker.types import Detections, FloatArray, ImageArray
+from ..tracker.types import Detections, FloatArray
 from .calibration import LEAST_PEAK
-from .finder import Finder, joined
+from .finder import Cell, Finder, Frames, IntArray, cut_patch, foretold, joined, on_grid, settle
 from .header import Header
+from .stillness import Sight
 
 AHEAD = 2
 """Frames that are looked at together, at positions foretold from those before them."""
 
-REACH_PATCH_PX = 8.0
-"""A keypoint found further than this from where it was foretold is looked at again, in a patch around it: training
-puts keypoints about so far from a patch's middle, and rarely further."""
-
 SURE_SHARE = 0.5
 """A peak lower than this share of the usual one is not believed without a search."""
 
-SEARCH_EVERY = 30
-"""Frames after which one is searched whatever the patches say: a false track ends within a second."""
+CHECK_EVERY = 30
+"""Frames after which the locator is asked whatever the patches say: a false track ends within a second."""
 
 LOST_PATCH_PX = 16.0
-"""A search that finds a keypoint further off than this, and sees it better, is believed."""
+"""A keypoint that the locator puts further off than this is searched, and what is seen better is believed."""
+
+
+RESTING_PATCH_PX = 0.5
+"""A keypoint that moved by less from one frame to the next may be at rest."""
+
+
+ENOUGH = 4
+"""Times that a keypoint at rest is read; afterwards it is taken to be at the mean."""
+
+
+SAME_PLACE = 0.75
+"""Steps of the grid that a keypoint at rest may lie from where it is compared."""
+
+
+@dataclass
+class _Known:
+    """What was found, on average, of a keypoint at rest, each time beginning with the same sight at a place."""
+
+    place: IntArray
+    sight: Sight
+    times: int = 0
+    xy: FloatArray = field(default_factory=lambda: np.zeros(2))
+    likelihood: float = 0.0
+    covariance: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
+
+    def add(self, xy: FloatArray, likelihood: float, covariance: FloatArray) -> None:
+        """Take in what was found once more."""
+        self.times += 1
+        self.xy = self.xy + (xy - self.xy) / self.times
+        self.likelihood += (likelihood - self.likelihood) / self.times
+        self.covariance = self.covariance + (covariance - self.covariance) / self.times
 
 
 class Follower:
@@ -43,57 +72,81 @@ class Follower:
         self._sure = SURE_SHARE * np.maximum(usual, LEAST_PEAK)
         self._last: FloatArray | None = None
         self._step = np.zeros((len(header.keypoints), 2))
-        self._until_search = 0
+        self._until_check = 0
+        self._known: list[_Known | None] = [None] * len(header.keypoints)
 
-    def detect(self, frames: ImageArray | Sequence[ImageArray]) -> Detections:
+    def detect(self, frames: Frames) -> Detections:
         """Keypoints of the video's next frames, (N, H, W, 3) uint8 RGB, calibrated."""
         h, w = frames[0].shape[:2]
         self._region = self._header.region_for((w, h))
         parts = [self._next(frames[start : start + AHEAD]) for start in range(0, len(frames), AHEAD)]
         return self._header.calibrated(joined(parts), self._region)
 
-    def _next(self, frames: ImageArray | Sequence[ImageArray]) -> Detections:
+    def _next(self, frames: Frames) -> Detections:
         if self._last is None:
             found = self._search(frames)
         else:
             ahead = np.arange(1, len(frames) + 1)[:, None, None]
-            found = self._look(frames, self._last + ahead * self._step)
-            self._until_search -= len(frames)
-            if self._until_search <= 0:
+            found = self._look(frames, foretold(self._last + ahead * self._step))
+            self._until_check -= len(frames)
+            if self._until_check <= 0:
                 found = self._checked(frames, found)
         before = self._last if len(frames) == 1 else found.xy[-2]
         self._step = np.zeros_like(found.xy[-1]) if before is None else found.xy[-1] - before
         self._last = found.xy[-1]
         return found
 
-    def _look(self, frames: ImageArray | Sequence[ImageArray], foretold: FloatArray) -> Detections:
-        """Find keypoints near foretold positions (N, K, 2); frames in which that fails are searched."""
-        found = self._refined(frames, foretold)
-        far = self._distance(found.xy, foretold) > REACH_PATCH_PX
-        again = np.flatnonzero(far.any(axis=1) & self._seen(found).all(axis=1)).tolist()
-        if again:
-            found = _with(found, again, self._refined([frames[i] for i in again], found.xy[again]))
-        lost = np.flatnonzero(~self._seen(found).all(axis=1)).tolist()
-        if lost:
-            found = _with(found, lost, self._search([frames[i] for i in lost]))
-        return found
+    def _look(self, frames: Frames, found: Detections) -> Detections:
+        """Find keypoints near where they are foretold; frames in which that fails are searched."""
+        region, partner = self._region, self._header.partner
 
-    def _checked(self, frames: ImageArray | Sequence[ImageArray], found: Detections) -> Detections:
-        """What was found, unless a search of the last frame finds better elsewhere: then all are searched."""
-        searched = self._search(frames[-1:])
-        elsewhere = self._distance(searched.xy[0], found.xy[-1]) > LOST_PATCH_PX
-        better = searched.likelihood[0] > found.likelihood[-1]
-        return self._search(frames) if (elsewhere & better).any() else found
+        def look(cells: Sequence[Cell], at: IntArray) -> Detections:
+            patches = [cut_patch(frames[i], place, region) for (i, _), place in zip(cells, at, strict=True)]
+            return self._finder.read(patches, [k for _, k in cells])
 
-    def _search(self, frames: ImageArray | Sequence[ImageArray]) -> Detections:
-        self._until_search = SEARCH_EVERY
+        moved_px = np.linalg.norm(self._step, axis=1) * region.refiner_scale
+        resting = np.flatnonzero(moved_px < RESTING_PATCH_PX).tolist()
+        expected = on_grid(found.xy, region, partner)
+        wanted = np.ones(expected.shape[:2], bool)
+        anew: list[tuple[int, int, _Known]] = []
+        for i, frame in enumerate(frames):
+            for k in resting:
+                known, anywhere = self._known[k], expected[i, k]
+                # What rests between two places is compared at the one where it was seen first.
+                here = known is not None and np.abs(known.place - anywhere).max() < SAME_PLACE
+                place = known.place if known and here else np.rint(anywhere).astype(int)
+                picture = cut_patch(frame, place, region).picture
+                if not (known and here and known.sight.is_still(picture)):
+                    known = _Known(place, Sight(picture))
+                if known.times < ENOUGH:
+                    anew.append((i, k, known))
+                else:
+                    found.xy[i, k], found.likelihood[i, k] = known.xy, known.likelihood
+                    found.covariance[i, k] = known.covariance
+                    wanted[i, k] = False
+        settle(found, wanted, look, region, partner)
+        for i, k, known in anew:
+            known.add(found.xy[i, k], found.likelihood[i, k], found.covariance[i, k])
+            self._known[k] = known
+        lost = np.flatnonzero((found.likelihood < self._sure).any(axis=1)).tolist()
+        return _with(found, lost, self._search([frames[i] for i in lost])) if lost else found
+
+    def _checked(self, frames: Frames, found: Detections) -> Detections:
+        """What was found, unless the locator would look elsewhere in the last frame, and more is seen there."""
+        self._until_check = CHECK_EVERY
+        located, _ = self._finder.located(frames[-1:], self._region)
+        if not self._elsewhere(located[0], found).any():
+            return found
+        searched = self._search(frames)
+        better = searched.likelihood[-1] > found.likelihood[-1]
+        return searched if (self._elsewhere(searched.xy[-1], found) & better).any() else found
+
+    def _elsewhere(self, xy: FloatArray, found: Detections) -> np.ndarray:
+        return self._distance(xy, found.xy[-1]) > LOST_PATCH_PX
+
+    def _search(self, frames: Frames) -> Detections:
+        self._until_check = CHECK_EVERY
         return self._finder.detect(frames, self._region, self._header.partner)
-
-    def _refined(self, frames: ImageArray | Sequence[ImageArray], xy: FloatArray) -> Detections:
-        return self._finder.refined(frames, xy, self._region, self._header.partner)
-
-    def _seen(self, found: Detections) -> np.ndarray:
-        return found.likelihood >= self._sure
 
     def _distance(self, one: FloatArray, other: FloatArray) -> FloatArray:
         """Distances (..., K) in px of the refiner's patches."""
@@ -103,9 +156,13 @@ class Follower:
 
 def _with(found: Detections, rows: Sequence[int], others: Detections) -> Detections:
     """Detections with some rows replaced."""
-    replaced = {}
-    for name in ("xy", "likelihood", "covariance"):
-        values = getattr(found, name).copy()
-        values[rows] = getattr(others, name)
-        replaced[name] = values
-    return replace(found, **replaced)
+    parts = [
+        (found.xy, others.xy),
+        (found.likelihood, others.likelihood),
+        (found.covariance, others.covariance),
+    ]
+    replaced = []
+    for own, other in parts:
+        replaced.append(own.copy())
+        replaced[-1][rows] = other
+    return Detections(*replaced)

@@ -24,7 +24,8 @@ from .label_mean import with_offset
 from .regions import WorkingRegion
 
 WEIGHTS_FILE = "weights.safetensors"
-FORMAT = 1
+FORMAT = 2
+"""Raised when the networks' layers change."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +101,7 @@ def read_header(path: Path, backbones: Sequence[str] = ()) -> Header:
     Raises
     ------
     CheckpointError
-        If it is missing, damaged, of a newer format, or not ours.
+        If it is missing, damaged, of another format, or not ours.
     """
     path = weights_file(path)
     if not path.is_file():
@@ -115,9 +116,10 @@ def read_header(path: Path, backbones: Sequence[str] = ()) -> Header:
                 f"{path}: expected a bendtrack checkpoint, got safetensors without its header"
             )
         header = json.loads(metadata["bendtrack"])
-        if header["format"] > FORMAT:
+        if header["format"] != FORMAT:
+            remedy = "update bendtrack" if header["format"] > FORMAT else "train again"
             raise CheckpointError(
-                f"{path}: expected checkpoint format {FORMAT} or older, got {header['format']}: update bendtrack"
+                f"{path}: expected checkpoint format {FORMAT}, got {header['format']}: {remedy}"
             )
         if backbones and header["backbone"] not in backbones:
             raise CheckpointError(f"{path}: expected a known backbone, got {header['backbone']!r}")

@@ -50,6 +50,7 @@ class HeatmapNetwork(nn.Module):
     backbone : "resnet18", "resnet34" or "resnet50" (torchvision's, so its weights fit)
     stages : how many of the four residual stages are kept; 3 see about 200 px of the input around a cell
     n_keypoints : K
+    convolutions : how many 3 x 3 convolutions of each stage are kept, the first ones; None keeps all
     width : channels of the way up
     """
 
@@ -57,14 +58,26 @@ class HeatmapNetwork(nn.Module):
     std: Tensor
     cell_spread: Tensor
 
-    def __init__(self, backbone: str, stages: int, n_keypoints: int, width: int = 64) -> None:
+    def __init__(
+        self,
+        backbone: str,
+        stages: int,
+        n_keypoints: int,
+        *,
+        convolutions: int | None = None,
+        width: int = 64,
+    ) -> None:
         super().__init__()
         resnet = BACKBONES[backbone](weights=None)
         self.n_keypoints = n_keypoints
         # torchvision's own names are kept, so that its state dict loads as it is.
         self.conv1, self.bn1 = resnet.conv1, resnet.bn1
-        self.stages = nn.ModuleList([resnet.layer1, resnet.layer2, resnet.layer3, resnet.layer4][:stages])
-        expansion = 4 if backbone == "resnet50" else 1
+        bottleneck = backbone == "resnet50"
+        # A bottleneck block holds one 3 x 3 convolution, a plain one two.
+        blocks = convolutions if convolutions is None or bottleneck else convolutions // 2
+        kept = [resnet.layer1, resnet.layer2, resnet.layer3, resnet.layer4][:stages]
+        self.stages = nn.ModuleList([stage[:blocks] for stage in kept])
+        expansion = 4 if bottleneck else 1
         channels = [64 * 2**i * expansion for i in range(stages)]
         self.lateral = nn.ModuleList([nn.Conv2d(c, width, 1, bias=False) for c in channels])
         self.smooth = nn.Sequential(

@@ -1,17 +1,18 @@
 """Training: labelled frames in, a checkpoint out. The loop, and what is saved so that a kill loses little.
 
+The two networks know nothing of each other while they learn, so they learn side by side, each on half of the cores.
 Every random draw depends on (seed, step) only, so a training that is resumed goes on as if it had not stopped.
 """
 
 from __future__ import annotations
 
-import copy
 import hashlib
 import json
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -30,10 +31,10 @@ from .consensus import consensus
 from .dataset import Batch, locator_batch, prepare, read_image, refiner_batch
 from .evaluation import frame_id
 from .finder import LOCATOR_MULTIPLE, joined
-from .heatmaps import heatmap_loss
 from .held_out import split
 from .initialisation import load_backbone, resolve_init, starting_weights
 from .label_mean import label_offset, with_offset
+from .learner import Learner
 from .regions import LOCATOR_SIDE, partners, working_regions
 from .schedule import Schedule
 from .settings import TrainingSettings
@@ -45,8 +46,9 @@ EVALUATE_EVERY = 50
 CONSENSUS_FROM = 0.3
 """Share of the steps after which positions follow the averaged network: before, it knows less than a click."""
 
-SPREAD_WEIGHT = 0.1
-"""The spread head only describes; it must not steer the features."""
+REFINER_BATCHES = 2
+"""Batches that the refiner learns from in a step: the locator's one takes as long, and it is the refiner that decides
+how exact positions are."""
 
 
 @dataclass(frozen=True)
@@ -142,17 +144,18 @@ class _Trainer:
         self.start = resolve_init(settings.init, settings.backbone)
         self.settings = settings
         torch.manual_seed(settings.seed)
-        self.network = Cascade(settings.backbone, len(keypoints))
+        network = Cascade(settings.backbone, len(keypoints))
         # A training that is resumed has its weights already; those that it started from may be gone.
         weights = None if resume else starting_weights(self.start, settings.backbone)
         if weights is not None:
-            load_backbone(self.network.locator, weights, self.start)
-            load_backbone(self.network.refiner, weights, self.start)
-        self.network.to(self.device)
-        self.average = copy.deepcopy(self.network).requires_grad_(False)
-        self.optimizer = torch.optim.AdamW(
-            self.network.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay
+            load_backbone(network.locator, weights, self.start)
+            load_backbone(network.refiner, weights, self.start)
+        network.to(self.device)
+        self.locator, self.refiner = (
+            Learner(part, average=settings.average, weight_decay=settings.weight_decay)
+            for part in (network.locator, network.refiner)
         )
+        self.average = Cascade.of(self.locator.average, self.refiner.average)
         self.schedule = Schedule(settings.steps_for(len(self.trained)), settings.decay_share)
         self.step, self.elapsed_s = 0, 0.0
         self.rows: list[dict[str, float]] = []
@@ -181,6 +184,11 @@ class _Trainer:
         self.crop_wh = (min(widest[0], LOCATOR_SIDE), min(widest[1], LOCATOR_SIDE))
 
     @property
+    def learners(self) -> dict[str, Learner]:
+        """Both, by the names that their networks have in a cascade."""
+        return {"locator": self.locator, "refiner": self.refiner}
+
+    @property
     def state_file(self) -> Path:
         """Where a training that is not finished keeps its state."""
         return self.folder / STATE_FILE
@@ -199,12 +207,12 @@ class _Trainer:
         """Train until the schedule ends."""
         begun = time.monotonic() - self.elapsed_s
         limit_s = None if self.settings.max_minutes is None else self.settings.max_minutes * 60
-        with ThreadPoolExecutor(max_workers=1) as pool:
+        with ThreadPoolExecutor(max_workers=2) as pool, _half_the_cores():
             batches = pool.submit(self._batches, self.step)
             while self.step < self.schedule.total:
                 locate, refine = batches.result()
                 batches = pool.submit(self._batches, self.step + 1)
-                loss = self._learn(locate, refine)
+                loss = self._learn(locate, refine, pool)
                 self.step += 1
                 self.elapsed_s = time.monotonic() - begun
                 if limit_s is not None and self.step >= 10:
@@ -220,58 +228,29 @@ class _Trainer:
                 if progress:
                     progress(self._progress(loss))
 
-    def _batches(self, step: int) -> tuple[Batch, Batch]:
-        rng = np.random.default_rng([self.settings.seed, 2, step])
-        n = len(self.trained)
-        count = self.settings.batch_frames
-        # Every frame as often as any other: a permutation, again when a step needs more than there are.
-        order = np.concatenate([rng.permutation(n) for _ in range(math.ceil(count / n))])[:count]
-        chosen = [self.trained[i] for i in order]
-        frames = {i: replace(self.prepared[i], xy=self.targets[i]) for i in set(chosen)}
-        return (
-            locator_batch(frames, chosen, self.crop_wh, rng),
-            refiner_batch(frames, chosen, self.partner, rng),
-        )
+    def _batches(self, step: int) -> tuple[Batch, list[Batch]]:
+        """What the locator and the refiner learn from in a step."""
+        drawn: list[Batch] = []
+        for turn in range(REFINER_BATCHES):
+            rng = np.random.default_rng([self.settings.seed, 2, step, turn])
+            n = len(self.trained)
+            count = self.settings.batch_frames
+            # Every frame as often as any other: a permutation, again when a step needs more than there are.
+            order = np.concatenate([rng.permutation(n) for _ in range(math.ceil(count / n))])[:count]
+            chosen = [self.trained[i] for i in order]
+            frames = {i: replace(self.prepared[i], xy=self.targets[i]) for i in set(chosen)}
+            if turn == 0:
+                locate = locator_batch(frames, chosen, self.crop_wh, rng)
+            drawn.append(refiner_batch(frames, chosen, self.partner, rng))
+        return locate, drawn
 
-    def _learn(self, locate: Batch, refine: Batch) -> float:
-        """One step of both networks; returns the loss."""
-        self.network.train()
-        factor = self.schedule.factor(self.step)
-        for group in self.optimizer.param_groups:
-            group["lr"] = self.settings.learning_rate * factor
-        self.optimizer.zero_grad(set_to_none=True)
-        loss = self._loss(self.network.locator, locate) + self._loss(self.network.refiner, refine)
-        if not torch.isfinite(loss):
-            raise TrainingError(
-                f"training: expected a finite loss, got {loss.item()} at step {self.step};"
-                " check the labels, or train with a lower learning rate or another seed"
-            )
-        loss.backward()
-        norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), 5.0)
-        if not torch.isfinite(norm):
-            raise TrainingError(
-                f"training: expected finite gradients, got {norm.item()} at step {self.step};"
-                " train with a lower learning rate or another seed"
-            )
-        self.optimizer.step()
-        # A short memory at first, so that the average does not carry the random start along.
-        keep = min(self.settings.average, (self.step + 1) / (self.step + 10))
-        for mean, value in zip(
-            self.average.state_dict().values(), self.network.state_dict().values(), strict=True
-        ):
-            if mean.dtype.is_floating_point:
-                mean.lerp_(value, 1 - keep)
-            else:
-                mean.copy_(value)
-        return float(loss.detach())
-
-    def _loss(self, network: torch.nn.Module, batch: Batch) -> Tensor:
-        images, xy, known, present = (
-            torch.from_numpy(part).to(self.device)
-            for part in (batch.images, batch.xy, batch.known, batch.present)
-        )
-        losses = heatmap_loss(network(images), xy, known, present)
-        return losses["heat"] + losses["offset"] + SPREAD_WEIGHT * losses["spread"]
+    def _learn(self, locate: Batch, refine: Sequence[Batch], pool: ThreadPoolExecutor) -> float:
+        """One step of both networks; returns the sum of their losses."""
+        rate = self.settings.learning_rate * self.schedule.factor(self.step)
+        located = pool.submit(self.locator.learn, locate, self.step, rate)
+        first = self.step * len(refine)
+        losses = [self.refiner.learn(batch, first + i, rate) for i, batch in enumerate(refine)]
+        return located.result() + sum(losses) / len(losses)
 
     def _detect(self, network: Cascade, indices: Sequence[int]) -> Detections:
         return joined(
@@ -315,7 +294,7 @@ class _Trainer:
 
     def finish(self) -> Checkpoint:
         """The averaged network as a checkpoint: the last, unless an earlier one was clearly better."""
-        network = copy.deepcopy(self.average)
+        network = self.average
         step, held_out_px = self.step, self.last_px
         # Held-out labels are few and carry their own error, so only a clear difference counts.
         if self.best is not None and self.last_px > 1.15 * self.schedule.best_px:
@@ -370,9 +349,7 @@ class _Trainer:
                 targets=self.targets,
                 start=self.start,
             ),
-            self.network,
-            self.average,
-            self.optimizer,
+            self.learners,
         )
         lines = [",".join(self.rows[0])] + [",".join(str(v) for v in row.values()) for row in self.rows]
         atomic_write_text(self.folder / "training.csv", "\n".join(lines) + "\n")
@@ -381,12 +358,23 @@ class _Trainer:
         """Go back to where a killed training last saved its state."""
         if not self.state_file.is_file():
             raise TrainingError(f"--resume: expected an unfinished training in {self.folder}, got none")
-        state = load_state(self.state_file, self.network, self.average, self.optimizer, self.identity)
+        state = load_state(self.state_file, self.learners, self.identity)
         self.step, self.elapsed_s, self.schedule = state.step, state.elapsed_s, state.schedule
         self.rows, self.best, self.best_step = state.rows, state.best, state.best_step
         self.targets, self.start = state.targets, state.start
         if self.rows:
             self.last_px, self.last_deg = self.rows[-1]["held_out_px"], self.rows[-1]["held_out_deg"]
+
+
+@contextmanager
+def _half_the_cores() -> Iterator[None]:
+    """Torch on half of the cores in every thread, for two networks side by side."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(max(1, before // 2))
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def _rms(values: FloatArray) -> float:

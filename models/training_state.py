@@ -1,8 +1,9 @@
-"""A training that is not finished, on disk: both networks, the optimiser, the schedule. safetensors and JSON."""
+"""A training that is not finished, on disk: what is learning, and the schedule. safetensors and JSON."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -12,21 +13,22 @@ import torch
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file
-from torch import Tensor, nn
+from torch import Tensor
 
 from ..tracker.errors import TrainingError
+from .learner import Learner
 from .schedule import Schedule
 from .tensor_files import write_tensors
 
 STATE_FILE = "training-state.safetensors"
 
 # Raised when the state's contents or the networks' layers change.
-FORMAT = 1
+FORMAT = 2
 
 
 @dataclass
 class TrainingState:
-    """What a training knows besides the two networks and the optimiser.
+    """What a training knows besides its learners.
 
     Attributes
     ----------
@@ -49,15 +51,14 @@ class TrainingState:
     start: str
 
 
-def save_state(
-    path: Path, state: TrainingState, network: nn.Module, average: nn.Module, optimizer: torch.optim.Optimizer
-) -> None:
+def save_state(path: Path, state: TrainingState, learners: Mapping[str, Learner]) -> None:
     """Write a state, whole or not at all."""
-    tensors = {f"network.{n}": v for n, v in network.state_dict().items()}
-    tensors |= {f"average.{n}": v for n, v in average.state_dict().items()}
-    tensors |= {f"best.{n}": v for n, v in (state.best or {}).items()}
-    for index, values in optimizer.state_dict()["state"].items():
-        tensors |= {f"optimizer.{index}.{n}": torch.as_tensor(v) for n, v in values.items()}
+    tensors = {f"best.{n}": v for n, v in (state.best or {}).items()}
+    for part, learner in learners.items():
+        tensors |= {f"{part}.network.{n}": v for n, v in learner.network.state_dict().items()}
+        tensors |= {f"{part}.average.{n}": v for n, v in learner.average.state_dict().items()}
+        for index, values in learner.optimizer.state_dict()["state"].items():
+            tensors |= {f"{part}.optimizer.{index}.{n}": torch.as_tensor(v) for n, v in values.items()}
     tensors["targets"] = torch.from_numpy(state.targets)
     header = {
         "format": FORMAT,
@@ -72,10 +73,8 @@ def save_state(
     write_tensors(path, tensors, header)
 
 
-def load_state(
-    path: Path, network: nn.Module, average: nn.Module, optimizer: torch.optim.Optimizer, identity: str
-) -> TrainingState:
-    """Read a state into the networks and the optimiser.
+def load_state(path: Path, learners: Mapping[str, Learner], identity: str) -> TrainingState:
+    """Read a state, and what the learners had learnt into them.
 
     Raises
     ------
@@ -98,13 +97,15 @@ def load_state(
             "--resume: expected the settings and labels that the training was started with, got others;"
             " train again without --resume"
         )
-    network.load_state_dict(_under("network.", tensors))
-    average.load_state_dict(_under("average.", tensors))
-    moments: dict[int, dict[str, Tensor]] = {}
-    for name, value in _under("optimizer.", tensors).items():
-        index, key = name.split(".", 1)
-        moments.setdefault(int(index), {})[key] = value
-    optimizer.load_state_dict({**optimizer.state_dict(), "state": moments})
+    for part, learner in learners.items():
+        own = _under(f"{part}.", tensors)
+        learner.network.load_state_dict(_under("network.", own))
+        learner.average.load_state_dict(_under("average.", own))
+        moments: dict[int, dict[str, Tensor]] = {}
+        for name, value in _under("optimizer.", own).items():
+            index, key = name.split(".", 1)
+            moments.setdefault(int(index), {})[key] = value
+        learner.optimizer.load_state_dict({**learner.optimizer.state_dict(), "state": moments})
     return TrainingState(
         identity=identity,
         step=header["step"],

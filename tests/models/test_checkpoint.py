@@ -85,7 +85,8 @@ def test_it_is_safetensors_with_its_header_and_no_pickle(checkpoint: Checkpoint,
         ("text", "got a damaged file"),
         ("truncated", "got a damaged file"),
         ("foreign", "safetensors without its header"),
-        ("newer", f"expected checkpoint format {FORMAT} or older, got {FORMAT + 1}"),
+        ("newer", f"expected checkpoint format {FORMAT}, got {FORMAT + 1}: update bendtrack"),
+        ("older", f"expected checkpoint format {FORMAT}, got {FORMAT - 1}: train again"),
         ("backbone", "expected a known backbone, got 'resnet9000'"),
         ("other weights", "got a damaged file"),
     ],
@@ -103,8 +104,9 @@ def test_what_is_no_checkpoint_is_said(
         path.write_bytes(path.read_bytes()[:-100])
     elif damage == "foreign":
         save_file({"a": torch.zeros(2)}, path)
-    elif damage == "newer":
-        save_file(tensors, path, {"bendtrack": json.dumps(header | {"format": FORMAT + 1})})
+    elif damage in ("newer", "older"):
+        other = FORMAT + 1 if damage == "newer" else FORMAT - 1
+        save_file(tensors, path, {"bendtrack": json.dumps(header | {"format": other})})
     elif damage == "backbone":
         save_file(tensors, path, {"bendtrack": json.dumps(header | {"backbone": "resnet9000"})})
     elif damage == "other weights":

@@ -7,7 +7,7 @@ import pytest
 
 from bendtrack.models.calibration import Calibration
 from bendtrack.models.finder import Finder
-from bendtrack.models.following import SEARCH_EVERY, Follower
+from bendtrack.models.following import CHECK_EVERY, Follower
 from bendtrack.models.header import Header
 from bendtrack.models.regions import WorkingRegion
 from bendtrack.tracker.angle import AngleDefinition
@@ -98,7 +98,7 @@ def test_a_video_is_followed_and_seldom_searched(finder: Finder, header: Header)
     frames = [picture(xy) for xy in truth]
     found = np.concatenate([follower.detect(frames[i : i + 4]).xy for i in range(0, len(frames), 4)])
     np.testing.assert_allclose(found, truth, atol=0.15)
-    assert finder.locate.shown <= 2 + len(frames) / SEARCH_EVERY + 2
+    assert finder.locate.shown <= 2 + len(frames) / CHECK_EVERY + 2
 
 
 def test_a_jump_is_found_by_searching_again(finder: Finder, header: Header) -> None:
@@ -140,6 +140,6 @@ def test_a_false_track_ends_with_the_next_search(finder: Finder, header: Header)
             return Detections(xy, np.where(lost, 0.5, 0.8), found.covariance)
 
     follower = Follower(Finder(FindsFirstTheFalse(), BelievesAnything()), header)
-    found = follower.detect([picture(rest)] * (SEARCH_EVERY + 10))
+    found = follower.detect([picture(rest)] * (CHECK_EVERY + 10))
     assert np.abs(found.xy[:10] - rest).max() > 50
     np.testing.assert_allclose(found.xy[-5:], np.broadcast_to(rest, (5, 3, 2)), atol=0.15)

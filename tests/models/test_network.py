@@ -26,6 +26,15 @@ def test_maps_have_a_cell_for_every_four_px(backbone: str, stages: int) -> None:
     assert float(maps.heat.detach().sigmoid().max()) < 0.1
 
 
+@pytest.mark.parametrize("backbone", BACKBONES)
+def test_a_stage_keeps_as_many_convolutions_as_it_is_told(backbone: str) -> None:
+    network = HeatmapNetwork(backbone, 2, 1, convolutions=2)
+    for stage in network.stages:
+        square = [m for m in stage.modules() if isinstance(m, torch.nn.Conv2d) and m.kernel_size == (3, 3)]
+        assert len(square) == 2
+    assert network(torch.zeros(1, 3, 64, 64)).heat.shape == (1, 1, 16, 16)
+
+
 def test_normalisation_is_the_networks_own() -> None:
     network = HeatmapNetwork("resnet18", 2, 1).eval()
     seen = []
