@@ -19,9 +19,9 @@ from .angle import end_vector_px
 from .curve_inset import CurveInset
 from .drawing import DARK, ORANGE, SKY_BLUE, VERMILLION, WHITE, YELLOW
 from .errors import ResultsError
+from .measuring import MIN_LIKELIHOOD
 from .read_ahead import read_ahead
 from .results import AngleTable
-from .tracking import MIN_LIKELIHOOD
 from .types import Flag, FloatArray, ImageArray
 from .video import Video
 from .video_writer import VideoWriter
