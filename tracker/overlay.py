@@ -29,6 +29,7 @@ from .video_writer import VideoWriter
 _Arrow = tuple[FloatArray, FloatArray, drawing.Colour]  # from, to, colour
 
 _FLAG_WORDS = {
+    Flag.PASSED_OVER: "passed over: no angle",
     Flag.UNDECODABLE: "frame could not be decoded",
     Flag.COINCIDENT_POINTS: "points coincide: no angle",
     Flag.OUT_OF_FRAME: "point outside the frame: no angle",
