@@ -44,16 +44,23 @@ def open_source(wanted: str | None, mode: CameraMode | None = None) -> LiveSourc
     VideoError
         There is no such thing, it cannot be opened, or it is not video.
     """
-    is_url = wanted is not None and "://" in wanted
-    if wanted is not None and (is_url or (Path(wanted).exists() and not is_camera_device(wanted))):
-        if mode is not None:
-            raise VideoError(f"--size, --rate and --camera-format: expected a camera, got {wanted}")
-        return Stream.from_url(wanted) if is_url else PlayedFile(Path(wanted))
     if wanted is not None and is_camera_device(wanted):
         return Stream.from_camera(Camera(wanted, wanted), mode)
-    if wanted is not None and (Path(wanted).suffix or "/" in wanted or "\\" in wanted):
-        raise VideoError(f"{wanted}: no such file")
-    return Stream.from_camera(find_camera(wanted, cameras()), mode)
+    is_url = wanted is not None and "://" in wanted
+    if wanted is None or not (is_url or Path(wanted).exists()):
+        return Stream.from_camera(_camera(wanted), mode)
+    if mode is not None:
+        raise VideoError(f"--size, --rate and --camera-format: expected a camera, got {wanted}")
+    return Stream.from_url(wanted) if is_url else PlayedFile(Path(wanted))
+
+
+def _camera(wanted: str | None) -> Camera:
+    try:
+        return find_camera(wanted, cameras())
+    except VideoError:
+        if wanted is not None and (Path(wanted).suffix or "/" in wanted or "\\" in wanted):
+            raise VideoError(f"{wanted}: no such file") from None
+        raise
 
 
 class PlayedFile:
@@ -89,14 +96,10 @@ class Stream:
 
     def __init__(self, address: str, name: str, format: str | None, options: Mapping[str, str]) -> None:
         self.name = name
-        self.silence_s: float | None = _SILENCE_S
         self.warnings: list[str] = []
         try:
             self._container = av.open(
-                address,
-                format=format,
-                options=dict(options),
-                timeout=(_OPEN_S, _SILENCE_S),
+                address, format=format, options=dict(options), timeout=(_OPEN_S, _SILENCE_S)
             )
         except av.ExitError as error:
             raise VideoError(f"{name}: no answer within {_OPEN_S:g} s") from error
@@ -119,8 +122,10 @@ class Stream:
         # Of a mere row of pictures FFmpeg makes up the times, as if they came at a constant rate.
         no_times = int(FormatFlags.no_timestamps.value)  # type: ignore[call-overload] # PyAV's stub errs
         self._has_times = not self._container.format.flags & no_times
-        self._has_end = self._container.duration is not None
-        self._is_hurried = False
+        is_device = format is not None
+        self._has_end = self._container.duration is not None and not is_device
+        self._is_hurried = self._has_end and _protocol(address) in _HURRIED
+        self.silence_s = None if self._is_hurried else _SILENCE_S
 
     @classmethod
     def from_url(cls, url: str) -> Stream:
@@ -131,20 +136,16 @@ class Stream:
         VideoError
             It cannot be reached or is not video.
         """
-        protocol = url.partition("://")[0].lower()
+        protocol = _protocol(url)
         if protocol not in _PROTOCOLS:
             raise VideoError(f"{url}: expected a URL that begins with {', '.join(_PROTOCOLS)}")
         options = {"protocol_whitelist": ",".join((*_PROTOCOLS, *_BENEATH))}
         if protocol not in _HURRIED:
             options |= _FORGET_BEGINNING
         if protocol.startswith("rtsp"):
-            options["rtsp_flags"] = (
-                "prefer_tcp"  # a lost packet would damage all frames up to the next key frame
-            )
-        stream = cls(url, url, None, options)
-        if protocol in _HURRIED and stream._has_end:
-            stream._is_hurried, stream.silence_s = True, None
-        return stream
+            # By UDP, a lost packet would damage all frames up to the next key frame.
+            options["rtsp_flags"] = "prefer_tcp"
+        return cls(url, url, None, options)
 
     @classmethod
     def from_camera(cls, camera: Camera, mode: CameraMode | None = None) -> Stream:
@@ -156,9 +157,7 @@ class Stream:
             It cannot be opened (in use, not permitted, not in this mode).
         """
         format, options = opening(mode)
-        stream = cls(camera.address, f"camera {camera.name}", format, options | _FORGET_BEGINNING)
-        stream._has_end = False
-        return stream
+        return cls(camera.address, f"camera {camera.name}", format, options | _FORGET_BEGINNING)
 
     def arrivals(self, begin: threading.Event, stop: threading.Event) -> Iterator[Arrival]:
         """Frames as they come; of a recording that a server sends at once, in real time (see `LiveSource`)."""
@@ -223,6 +222,10 @@ class Stream:
         if of.pts is None or of.time_base is None or not self._has_times:
             return math.nan
         return float(of.pts * of.time_base)
+
+
+def _protocol(url: str) -> str:
+    return url.partition("://")[0].lower()
 
 
 def _in_real_time(frames: Iterable[Frame], stop: threading.Event) -> Iterator[Arrival]:

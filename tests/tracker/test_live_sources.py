@@ -19,6 +19,7 @@ from bendtrack.tracker.cameras import Camera, CameraMode, cameras, find_camera, 
 from bendtrack.tracker.errors import VideoError
 from bendtrack.tracker.live import measure_live
 from bendtrack.tracker.live_sources import PlayedFile, Stream, open_source
+from bendtrack.tracker.video import Video
 
 ANGLE = AngleDefinition("two-vector", ("base_1", "base_2", "tip_1", "tip_2"))
 NEVER_S = 20.0
@@ -38,6 +39,16 @@ def served(handler: type[BaseHTTPRequestHandler]) -> Iterator[str]:
         server.shutdown()
         server.server_close()
         thread.join()
+
+
+def files_of(folder: Path) -> type[BaseHTTPRequestHandler]:
+    """What serves the files of a folder."""
+
+    class Files(SimpleHTTPRequestHandler):
+        def __init__(self, *args: object) -> None:
+            super().__init__(*args, directory=str(folder))  # type: ignore[arg-type]
+
+    return Files
 
 
 # --- files
@@ -111,13 +122,9 @@ def test_a_recording_on_a_server_plays_in_real_time(film, tmp_path):
     images = [film.draw_arm(10.0 * n, number=n) for n in range(12)]
     film.encode(tmp_path / "film.mp4", images, rate=60, container_options={"movflags": "+faststart"})
 
-    class Files(SimpleHTTPRequestHandler):
-        def __init__(self, *args: object) -> None:
-            super().__init__(*args, directory=str(tmp_path))  # type: ignore[arg-type]
-
     begin, stop = threading.Event(), threading.Event()
     begin.set()
-    with served(Files) as url:
+    with served(files_of(tmp_path)) as url:
         arrivals = []
         for arrival in open_source(f"{url}/film.mp4").arrivals(begin, stop):
             assert time.perf_counter() >= arrival.at_s
@@ -125,6 +132,29 @@ def test_a_recording_on_a_server_plays_in_real_time(film, tmp_path):
     assert [film.frame_number(arrival.frame.image) for arrival in arrivals] == list(range(12))
     np.testing.assert_allclose([a.at_s - arrivals[0].at_s for a in arrivals], np.arange(12) / 60, atol=1e-3)
     np.testing.assert_allclose([a.frame.time_s for a in arrivals], np.arange(12) / 60, atol=1e-3)
+
+
+@pytest.mark.parametrize(("codec", "options"), [("mjpeg", {}), ("libx264", {"g": "6", "bf": "0"})])
+def test_damage_means_in_a_stream_what_it_means_in_a_file(film, tmp_path, codec, options):
+    """A packet of zeros: that frame is lost, and with H.264 those up to the next key frame are doubtful."""
+    images = [film.draw_arm(10.0 * n, number=n) for n in range(12)]
+    pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"
+    whole = film.encode(
+        tmp_path / "whole.mkv", images, codec=codec, options=options, pix_fmt=pix_fmt, rate=60
+    )
+    position, size = film.packet_places(whole)[2]
+    data = bytearray(whole.read_bytes())
+    data[position + size // 4 : position + size] = bytes(size - size // 4)
+    (tmp_path / "hole.mkv").write_bytes(data)
+    begin, stop = threading.Event(), threading.Event()
+    begin.set()
+    with served(files_of(tmp_path)) as url:
+        frames = [arrival.frame for arrival in open_source(f"{url}/hole.mkv").arrivals(begin, stop)]
+    states = [(frame.index, frame.decoded is None, frame.damaged) for frame in frames]
+    expected = [(n, n == 2, codec == "libx264" and n in (3, 4, 5)) for n in range(12)]
+    assert states == expected
+    in_file = [(frame.index, frame.decoded is None, frame.damaged) for frame in Video(tmp_path / "hole.mkv")]
+    assert in_file == expected
 
 
 def test_a_device_of_ffmpeg_delivers_as_it_likes(film):

@@ -45,6 +45,7 @@ def live(
         str | None,
         typer.Argument(
             help="A camera's number or name, a video file, or an RTSP or HTTP URL.",
+            metavar="[SOURCE]",
             show_default="the first camera",
         ),
     ] = None,
@@ -127,8 +128,8 @@ def _told(
             line = line_of(value, format)
             if target is not None:  # before stdout, whose reader may be slow
                 target.send(f"{line}\n")
-            yield value
             print(line, flush=True)
+            yield value
     except BrokenPipeError:
         # Python would complain at exit of what it could not write.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
