@@ -142,7 +142,7 @@ def measure_live(
             if taken is not None:
                 last_s = now_s
                 yield measuring.value(*taken)
-            elif newest.ended:
+            elif newest.is_over:
                 return
             elif source.silence_s is not None and now_s - last_s > source.silence_s:
                 raise VideoError(f"{source.name}: no frame came for {source.silence_s:g} s")
@@ -153,7 +153,7 @@ class _Newest:
 
     def __init__(self, source: LiveSource) -> None:
         self.begin = threading.Event()
-        self.ended = False
+        self._ended = False
         self._stop = threading.Event()
         self._source = source
         self._changed = threading.Condition()
@@ -171,10 +171,16 @@ class _Newest:
         self.begin.set()
         self._thread.join(_JOIN_S)
 
+    @property
+    def is_over(self) -> bool:
+        """Whether the source has ended and there is nothing left to take."""
+        with self._changed:
+            return self._ended and self._arrival is None and self._error is None
+
     def take(self, timeout_s: float) -> tuple[Arrival, tuple[float, ...]] | None:
         """The newest frame not yet taken, and the times of those passed over for it; None if there is none in time."""
         with self._changed:
-            if self._arrival is None and not self.ended:
+            if self._arrival is None and not self._ended:
                 self._changed.wait(timeout_s)
             if self._arrival is None:
                 if self._error is not None:
@@ -199,7 +205,7 @@ class _Newest:
             if close is not None:
                 close()
             with self._changed:
-                self.ended = True
+                self._ended = True
                 self._changed.notify()
 
     def _put(self, arrival: Arrival) -> None:
