@@ -130,6 +130,7 @@ class FollowingDetector:
         self.batch_size = own.batch_size
         self.provenance = own.provenance
         self.detect = follower.detect
+        self.pass_over = follower.pass_over
 
 
 def _device(wanted: str) -> str:

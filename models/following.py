@@ -73,7 +73,12 @@ class Follower:
         self._last: FloatArray | None = None
         self._step = np.zeros((len(header.keypoints), 2))
         self._until_check = 0
+        self._passed_over = 0
         self._known: list[_Known | None] = [None] * len(header.keypoints)
+
+    def pass_over(self, frames: int) -> None:
+        """Say that so many frames, the next ones of the video, will not be given: keypoints move on meanwhile."""
+        self._passed_over += frames
 
     def detect(self, frames: Frames) -> Detections:
         """Keypoints of the video's next frames, (N, H, W, 3) uint8 RGB, calibrated."""
@@ -86,14 +91,14 @@ class Follower:
         if self._last is None:
             found = self._search(frames)
         else:
-            ahead = np.arange(1, len(frames) + 1)[:, None, None]
+            ahead = self._passed_over + np.arange(1, len(frames) + 1)[:, None, None]
             found = self._look(frames, foretold(self._last + ahead * self._step))
             self._until_check -= len(frames)
             if self._until_check <= 0:
                 found = self._checked(frames, found)
-        before = self._last if len(frames) == 1 else found.xy[-2]
-        self._step = np.zeros_like(found.xy[-1]) if before is None else found.xy[-1] - before
-        self._last = found.xy[-1]
+        before, apart = (self._last, 1 + self._passed_over) if len(frames) == 1 else (found.xy[-2], 1)
+        self._step = np.zeros_like(found.xy[-1]) if before is None else (found.xy[-1] - before) / apart
+        self._last, self._passed_over = found.xy[-1], 0
         return found
 
     def _look(self, frames: Frames, found: Detections) -> Detections:

@@ -24,6 +24,7 @@ _MARKS = {  # flag: colour, marker, words of the legend
     Flag.DAMAGED: ("#CC79A7", "s", "damaged frame"),
     Flag.OUT_OF_FRAME: ("#009E73", "^", "out of frame, no angle"),
     Flag.COINCIDENT_POINTS: ("#56B4E9", "D", "coincident points, no angle"),
+    Flag.PASSED_OVER: ("0.6", "|", "passed over, no angle"),
     Flag.UNDECODABLE: ("#D55E00", "|", "undecodable, no angle"),
 }
 

@@ -19,9 +19,9 @@ from .angle import end_vector_px
 from .curve_inset import CurveInset
 from .drawing import DARK, ORANGE, SKY_BLUE, VERMILLION, WHITE, YELLOW
 from .errors import ResultsError
+from .measuring import MIN_LIKELIHOOD
 from .read_ahead import read_ahead
 from .results import AngleTable
-from .tracking import MIN_LIKELIHOOD
 from .types import Flag, FloatArray, ImageArray
 from .video import Video
 from .video_writer import VideoWriter
@@ -29,6 +29,7 @@ from .video_writer import VideoWriter
 _Arrow = tuple[FloatArray, FloatArray, drawing.Colour]  # from, to, colour
 
 _FLAG_WORDS = {
+    Flag.PASSED_OVER: "passed over: no angle",
     Flag.UNDECODABLE: "frame could not be decoded",
     Flag.COINCIDENT_POINTS: "points coincide: no angle",
     Flag.OUT_OF_FRAME: "point outside the frame: no angle",

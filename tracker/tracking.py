@@ -1,6 +1,7 @@
 """From a video and a detector to an angle table: decoding runs beside detection, every frame gets its row.
 
-Knows no network: any `types.Detector` will do. Decoding is in `video.py`, the angle in `angle.py`.
+Knows no network: any `types.Detector` will do. Decoding is in `video.py`, what the detections mean in
+`measuring.py`.
 """
 
 from __future__ import annotations
@@ -15,15 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from .angle import AngleDefinition, bending_angle
-from .errors import AngleError
+from .angle import AngleDefinition
+from .measuring import MIN_LIKELIHOOD, check_points, measure
 from .read_ahead import read_ahead
 from .results import AngleTable, json_ready
-from .types import Detector, Flag, FloatArray, ImageArray, VideoDetector
+from .types import Detections, Detector, Flag, FloatArray, ImageArray, VideoDetector
 from .video import Video, file_sha256
 
-# DeepLabCut's pcutoff, which users know.
-MIN_LIKELIHOOD = 0.6
 # Batches decoded ahead: one being used, one ready, one in the making.
 _BATCHES_AHEAD = 2
 
@@ -74,11 +73,7 @@ def track(
     AngleError
         The definition names a keypoint that the detector does not find.
     """
-    missing = [point for point in definition.points if point not in detector.keypoints]
-    if missing:
-        raise AngleError(
-            f"the angle needs keypoint '{missing[0]}', the detector finds {', '.join(detector.keypoints)}"
-        )
+    check_points(detector.keypoints, definition)
     if isinstance(detector, VideoDetector):
         detector = detector.for_video()
     source = Video(video)
@@ -104,20 +99,19 @@ def track(
                 progress(len(time_s), source.claimed_frames)
 
     is_decoded = np.array(decoded)
-    xy = _scatter([xy for xy, _, _ in found], is_decoded, (k, 2))
-    likelihood = _scatter([likelihood for _, likelihood, _ in found], is_decoded, (k,))
-    covariance = _scatter([covariance for _, _, covariance in found], is_decoded, (k, 2, 2))
-    angle_deg, angle_sd_deg, coincident = bending_angle(xy, detector.keypoints, definition, covariance)
-    chain = [detector.keypoints.index(point) for point in definition.points]
-    outside = _outside(xy[:, chain], source.size_wh)
-    for lost in (coincident, outside):
-        angle_deg[lost] = angle_sd_deg[lost] = np.nan
-    with np.errstate(invalid="ignore"):
-        unlikely = (likelihood[:, chain] < min_likelihood).any(axis=1) | np.isnan(angle_deg)
-    flag = np.select(
-        [~is_decoded, coincident, outside, np.array(damaged), unlikely],
-        [Flag.UNDECODABLE, Flag.COINCIDENT_POINTS, Flag.OUT_OF_FRAME, Flag.DAMAGED, Flag.LOW_LIKELIHOOD],
-        default=Flag.NONE,
+    detections = Detections(
+        xy=_scatter([xy for xy, _, _ in found], is_decoded, (k, 2)),
+        likelihood=_scatter([likelihood for _, likelihood, _ in found], is_decoded, (k,)),
+        covariance=_scatter([covariance for _, _, covariance in found], is_decoded, (k, 2, 2)),
+    )
+    rows = measure(
+        detections,
+        detector.keypoints,
+        definition,
+        source.size_wh,
+        decoded=is_decoded,
+        damaged=np.array(damaged),
+        min_likelihood=min_likelihood,
     )
     provenance = {
         "bendtrack": version("bendtrack"),
@@ -139,16 +133,16 @@ def track(
         "detector": detector.provenance,
         "settings": tracking_settings(definition, min_likelihood),
         "warnings": source.warnings,
-        "rows": {kind.value or "sound": int((flag == kind).sum()) for kind in Flag},
+        "rows": {kind.value or "sound": int((rows.flag == kind).sum()) for kind in Flag},
     }
     return AngleTable(
         time_s=np.array(time_s),
-        angle_deg=angle_deg,
-        angle_sd_deg=angle_sd_deg,
-        flag=flag,
-        xy=xy,
-        likelihood=likelihood,
-        covariance=covariance,
+        angle_deg=rows.angle_deg,
+        angle_sd_deg=rows.angle_sd_deg,
+        flag=rows.flag,
+        xy=detections.xy,
+        likelihood=detections.likelihood,
+        covariance=detections.covariance,
         keypoints=detector.keypoints,
         definition=definition,
         provenance=json_ready(provenance),
@@ -184,10 +178,3 @@ def _scatter(found: list[FloatArray], is_decoded: np.ndarray, shape: tuple[int, 
     if found:
         values[is_decoded] = np.concatenate(found)
     return values
-
-
-def _outside(xy: FloatArray, size_wh: tuple[int, int]) -> np.ndarray:
-    """Rows (T,) with one of the points (T, P, 2) outside the frame, which ends half a px beyond centres."""
-    with np.errstate(invalid="ignore"):
-        outside = (xy < -0.5) | (xy > np.array(size_wh) - 0.5)
-    return np.asarray(outside.any(axis=(1, 2)))

@@ -32,6 +32,7 @@ class Flag(StrEnum):
     """Why a row of an angle table is missing or to be doubted. One flag a row, the first that applies.
 
     NONE                the row is sound (an empty cell in the table)
+    PASSED_OVER         live only: a newer frame was there already: everything but its time is NaN
     UNDECODABLE         the frame could not be decoded: everything but its time is NaN
     COINCIDENT_POINTS   two neighbouring points of the angle's chain fall together: the angle is NaN
     OUT_OF_FRAME        a keypoint of the angle lies outside the frame: positions kept, angle NaN
@@ -40,6 +41,7 @@ class Flag(StrEnum):
     """
 
     NONE = ""
+    PASSED_OVER = "passed_over"
     UNDECODABLE = "undecodable"
     COINCIDENT_POINTS = "coincident_points"
     OUT_OF_FRAME = "out_of_frame"
@@ -96,6 +98,14 @@ class VideoDetector(Detector, Protocol):
 
     def for_video(self) -> Detector:
         """A detector for one video, fresh: it may use what it found in the frames before."""
+
+
+@runtime_checkable
+class SparingDetector(Detector, Protocol):
+    """A detector for one video that wants to be told of frames that it is spared."""
+
+    def pass_over(self, frames: int) -> None:
+        """So many frames of the video, the next ones, will not be given."""
 
 
 @dataclass(frozen=True)

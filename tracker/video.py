@@ -7,15 +7,18 @@ video in `video_writer.py`.
 from __future__ import annotations
 
 import hashlib
+import threading
 from collections.abc import Generator
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
+from typing import cast
 
 import av
 import numpy as np
+from av.video.reformatter import VideoReformatter
 
 from .container import Orientation, claimed_duration_s, claimed_frames, first_picture, open_video, orientation
 from .decoding import Decoding, Row
@@ -24,6 +27,16 @@ from .types import FloatArray, ImageArray
 
 # A pause so many times the usual frame interval is worth a word: lost frames look like this.
 _PAUSE_INTERVALS = 4
+
+
+_of_thread = threading.local()
+
+
+def _reformatter() -> VideoReformatter:
+    """This thread's converter of colours: one of its own for every frame takes six times as long."""
+    if not hasattr(_of_thread, "reformatter"):
+        _of_thread.reformatter = VideoReformatter()
+    return cast(VideoReformatter, _of_thread.reformatter)
 
 
 @dataclass(frozen=True)
@@ -50,7 +63,8 @@ class Frame:
         """RGB uint8 (H, W, 3) as displayed, None if undecodable. Converted when first asked for."""
         if self.decoded is None:
             return None
-        return self.orientation.apply(np.asarray(self.decoded.to_ndarray(format="rgb24"), dtype=np.uint8))
+        rgb = _reformatter().reformat(self.decoded, format="rgb24")
+        return self.orientation.apply(np.asarray(rgb.to_ndarray(), dtype=np.uint8))
 
 
 class Video:

@@ -143,3 +143,19 @@ def test_a_false_track_ends_with_the_next_search(finder: Finder, header: Header)
     found = follower.detect([picture(rest)] * (CHECK_EVERY + 10))
     assert np.abs(found.xy[:10] - rest).max() > 50
     np.testing.assert_allclose(found.xy[-5:], np.broadcast_to(rest, (5, 3, 2)), atol=0.15)
+
+
+def test_frames_that_are_passed_over_are_reckoned_with(finder: Finder, header: Header) -> None:
+    """Keypoints go on in their own pace meanwhile, so one look is enough where they must be by now."""
+    frames = [picture(xy) for xy in arms(2.5 * np.arange(13))]
+    looks = {}
+    for told in (True, False):
+        follower = Follower(finder, header)
+        follower.detect(frames[:6])
+        before = finder.refine.shown
+        if told:
+            follower.pass_over(4)
+        found = [follower.detect([frames[i]]).xy[0] for i in (10, 11, 12)]
+        np.testing.assert_allclose(found, arms(2.5 * np.array([10, 11, 12])), atol=0.15)
+        looks[told] = (finder.refine.shown - before) // 3
+    assert looks[True] < looks[False]

@@ -12,6 +12,7 @@ from .demo_command import demo
 from .doctor_command import doctor
 from .frame_commands import frames, labels
 from .label_command import label
+from .live_command import live
 from .network_commands import evaluate, train
 from .project_commands import export_labels, import_labels, new
 from .study_commands import analyze
@@ -29,6 +30,7 @@ _COMMANDS: dict[str, Callable[..., None]] = {  # in the order of --help
     "train": train,
     "evaluate": evaluate,
     "track": track,
+    "live": live,
     "analyze": analyze,
     "render": render,
     "doctor": doctor,

@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 from ..errors import BendtrackError
 from . import talk
 
 if TYPE_CHECKING:
     from ...models.detector import NetworkDetector
+    from ..angle import AngleDefinition
+    from ..project import Project
+
+ModelOption = Annotated[str | None, typer.Option(help="Name of the network.", show_default="the newest")]
+EngineOption = Annotated[
+    str, typer.Option(help="auto, openvino-int8, openvino or torch. auto takes the fastest that is exact.")
+]
+DeviceOption = Annotated[str, typer.Option(help="auto, cpu or cuda. auto takes a GPU when there is one.")]
+ThreadsOption = Annotated[int | None, typer.Option(min=1, help="Cores for the network.", show_default="all")]
 
 
 def load_network(
@@ -29,6 +40,20 @@ def load_network(
     if on_cpu and engine != "torch" and file.is_file() and engine_record(file, file_sha256(file)) is None:
         _compile(folder)
     return NetworkDetector.load(folder, engine=engine, device=device, threads=threads)
+
+
+def measured_angle(project: Project, network: NetworkDetector) -> AngleDefinition:
+    """The angle that a network was trained for, which is what is measured; said where the project means another."""
+    definition = network.header.definition
+    angle = project.settings.angle_definition(definition.sign)
+    signs = {"auto": definition.sign, "+": 1, "-": -1}
+    if angle != definition or signs[project.settings.angle.sign] != definition.sign:
+        talk.warn(
+            f"bendtrack.toml names another angle than '{network.name}' was trained for, which is measured"
+            f" ({definition.name}, {', '.join(definition.points)}, sign {definition.sign:+d});"
+            " train again for the new one"
+        )
+    return definition
 
 
 def _compile(folder: Path) -> None:

@@ -1,4 +1,7 @@
-"""What the command line says: results and chatter on stdout; warnings, errors and progress on stderr."""
+"""What the command line says: results and chatter on stdout; warnings, errors and progress on stderr.
+
+Where programs read stdout as it comes (`bendtrack live`), chatter goes to stderr too.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,7 @@ from typing import Any
 class _Manner:
     quiet: bool = False
     debug: bool = False
+    stdout_is_for_programs: bool = False
 
 
 _manner = _Manner()
@@ -18,7 +22,12 @@ _manner = _Manner()
 
 def configure(*, quiet: bool, debug: bool) -> None:
     """Set for this run of the program what --quiet and --debug ask for."""
-    _manner.quiet, _manner.debug = quiet, debug
+    _manner.quiet, _manner.debug, _manner.stdout_is_for_programs = quiet, debug, False
+
+
+def leave_stdout_to_programs() -> None:
+    """From here on `say` speaks on stderr."""
+    _manner.stdout_is_for_programs = True
 
 
 def debugging() -> bool:
@@ -34,7 +43,7 @@ def shows_progress() -> bool:
 def say(text: str = "") -> None:
     """What goes on and where things are; silent with --quiet."""
     if not _manner.quiet:
-        print(text, flush=True)
+        print(text, file=sys.stderr if _manner.stdout_is_for_programs else sys.stdout, flush=True)
 
 
 def show(result: Any) -> None:

@@ -13,7 +13,7 @@ import typer
 
 from ..errors import BendtrackError, VideoError, reason
 from . import model_folders, talk
-from .engines import load_network
+from .engines import DeviceOption, EngineOption, ModelOption, ThreadsOption, load_network, measured_angle
 from .project_commands import ProjectArgument
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ def track(
     videos: Annotated[
         list[str], typer.Argument(help="Files, folders of videos, or patterns such as 'day1/*.mp4'.")
     ],
-    model: Annotated[str | None, typer.Option(help="Name of the network.", show_default="the newest")] = None,
+    model: ModelOption = None,
     out: Annotated[
         Path | None, typer.Option(help="Where the results go.", show_default="PROJECT/results")
     ] = None,
@@ -40,16 +40,9 @@ def track(
         bool, typer.Option("--overlay", help="Also write a video with what was found drawn on it.")
     ] = False,
     force: Annotated[bool, typer.Option("--force", help="Also what is up to date.")] = False,
-    engine: Annotated[
-        str,
-        typer.Option(help="auto, openvino-int8, openvino or torch. auto takes the fastest that is exact."),
-    ] = "auto",
-    device: Annotated[
-        str, typer.Option(help="auto, cpu or cuda. auto takes a GPU when there is one.")
-    ] = "auto",
-    threads: Annotated[
-        int | None, typer.Option(min=1, help="Cores for the network.", show_default="all")
-    ] = None,
+    engine: EngineOption = "auto",
+    device: DeviceOption = "auto",
+    threads: ThreadsOption = None,
 ) -> None:
     """Measure the bending angle over time in videos.
 
@@ -133,16 +126,7 @@ def track_videos(
     -------
     The videos that failed or are damaged, and why. A damaged one is tracked as far as it goes.
     """
-    definition = detector.header.definition
-    angle = project.settings.angle_definition(definition.sign)
-    signs = {"auto": definition.sign, "+": 1, "-": -1}
-    if angle != definition or signs[project.settings.angle.sign] != definition.sign:
-        talk.warn(
-            f"bendtrack.toml names another angle than '{detector.name}' was trained for, which is measured"
-            f" ({definition.name}, {', '.join(definition.points)}, sign {definition.sign:+d});"
-            " train again for the new one"
-        )
-    job = _Job(detector, definition, folder)
+    job = _Job(detector, measured_angle(project, detector), folder)
     if project.settings.tracking.min_likelihood is not None:
         job.options["min_likelihood"] = project.settings.tracking.min_likelihood
     talk.say(f"Network: {detector.name} ({detector.header.backbone}, {detector.engine} on {detector.device})")
@@ -277,7 +261,7 @@ def render(
         "angle_max_deg": angle_max_deg,
         "hysteresis_ratio": hysteresis_ratio,
         "frame_rate": frame_rate,
-        "size_wh": None if size is None else _size_wh(size),
+        "size_wh": None if size is None else size_wh(size),
         "end_vector_px": end_vector_px,
     }
     settings: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
@@ -297,10 +281,10 @@ def render(
         talk.say(f"Next: bendtrack import PROJECT {out / 'labels.csv'} --video {trial.video_path}")
 
 
-def _size_wh(text: str) -> tuple[int, int]:
+def size_wh(text: str) -> tuple[int, int]:
     """Width and height of a size such as 640x480.
 
-    >>> _size_wh("640x480")
+    >>> size_wh("640x480")
     (640, 480)
     """
     width, _, height = text.lower().partition("x")

@@ -1,0 +1,249 @@
+"""The command that measures as it films: bendtrack live."""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import sys
+import threading
+import time
+from array import array
+from collections.abc import Generator, Iterator
+from contextlib import closing, contextmanager, nullcontext
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ..errors import BendtrackError, ResultsError
+from . import model_folders, talk
+from .engines import DeviceOption, EngineOption, ModelOption, ThreadsOption, load_network, measured_angle
+from .project_commands import ProjectArgument
+from .video_commands import size_wh
+
+if TYPE_CHECKING:
+    from ...models.detector import NetworkDetector
+    from ..angle import AngleDefinition
+    from ..cameras import CameraMode
+    from ..live import LiveSource, LiveValue
+    from ..live_output import UdpTarget
+    from ..project import Project
+
+
+class LineFormat(StrEnum):
+    """Forms of a value on stdout and in a datagram; those of `live_output`."""
+
+    CSV = "csv"
+    JSONL = "jsonl"
+
+
+def live(
+    project: ProjectArgument,
+    source: Annotated[
+        str | None,
+        typer.Argument(
+            help="A camera's number or name, a video file, or an RTSP or HTTP URL.",
+            metavar="[SOURCE]",
+            show_default="the first camera",
+        ),
+    ] = None,
+    udp: Annotated[
+        str | None,
+        typer.Option(help="HOST:PORT that also gets each value, a datagram each.", metavar="ADDRESS"),
+    ] = None,
+    format: Annotated[LineFormat, typer.Option(help="Of the values.")] = LineFormat.CSV,
+    duration: Annotated[
+        float | None, typer.Option(help="End after so many seconds.", min=0, show_default="Ctrl-C or the end")
+    ] = None,
+    out: Annotated[
+        str | None, typer.Option(help="Also write a table of that name into PROJECT/results, at the end.")
+    ] = None,
+    size: Annotated[str | None, typer.Option(help="Of the camera's frames, px, such as 640x480.")] = None,
+    rate: Annotated[float | None, typer.Option(help="Of the camera, frames/s.", min=0.1)] = None,
+    camera_format: Annotated[
+        str | None, typer.Option(help="As FFmpeg calls it; many cameras reach 60 frames/s only as mjpeg.")
+    ] = None,
+    model: ModelOption = None,
+    engine: EngineOption = "auto",
+    device: DeviceOption = "auto",
+    threads: ThreadsOption = None,
+) -> None:
+    """Measure as it is filmed, for closed-loop control.
+
+    Prints a line with the bending angle as soon as it is known; words for people go to stderr. The newest frame is
+    measured, older ones are passed over, so it never falls behind. A file is played in real time. Ends with Ctrl-C.
+    """
+    talk.leave_stdout_to_programs()
+    from ..live import measure_live
+    from ..live_output import UdpTarget
+    from ..live_sources import open_source
+    from ..project import Project
+
+    opened = Project.open(project)
+    if out is not None:
+        _check_free(opened, out)
+    mode = _camera_mode(size, rate, camera_format)
+    target = None if udp is None else UdpTarget(udp)
+    network = load_network(model_folders.chosen(opened, model), engine, device, threads)
+    definition = measured_angle(opened, network)
+    options: dict[str, Any] = {}
+    if opened.settings.tracking.min_likelihood is not None:
+        options["min_likelihood"] = opened.settings.tracking.min_likelihood
+    filmed = open_source(source, mode)  # last, for a camera that runs and is not read falls behind
+    if rate is not None and filmed.rate is not None and abs(filmed.rate - rate) > 0.01 * rate:
+        talk.warn(f"{filmed.name} delivers {filmed.rate:g} frames/s, not {rate:g}")
+    talk.say(f"Network: {network.name} ({network.header.backbone}, {network.engine} on {network.device})")
+    talk.say(f"Source: {filmed.name}, {filmed.size_wh[0]} x {filmed.size_wh[1]} px; Ctrl-C ends it")
+
+    kept = None if out is None else _Kept(opened.results_dir, out, filmed, network, definition, options)
+    tally = _Tally()
+    try:
+        with _little_to_sweep(), _stopped_by_signals() as stop, target or nullcontext():
+            values = measure_live(filmed, network, definition, duration_s=duration, stop=stop, **options)
+            with closing(values):
+                for value in _told(values, format, target):
+                    tally.add(value)
+                    if kept is not None:
+                        kept.recording.add(value)
+    finally:
+        talk.say(tally.line())
+        for warning in filmed.warnings:
+            talk.warn(f"{filmed.name}: {warning}")
+        if kept is not None and tally.latency_ms:
+            kept.write()
+
+
+def _told(
+    values: Iterator[LiveValue], format: LineFormat, target: UdpTarget | None
+) -> Generator[LiveValue, None, None]:
+    """The values, each told to whoever wants it, until there are no more or nobody reads stdout any longer."""
+    from ..live_output import HEADER, line_of
+
+    try:
+        if format == LineFormat.CSV:
+            print(HEADER, flush=True)
+        for value in values:
+            line = line_of(value, format)
+            if target is not None:  # before stdout, whose reader may be slow
+                target.send(f"{line}\n")
+            print(line, flush=True)
+            yield value
+    except BrokenPipeError:
+        # Python would complain at exit of what it could not write.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+class _Tally:
+    """What there is to say at the end."""
+
+    def __init__(self) -> None:
+        self.latency_ms = array("d")
+        self._passed_over = 0
+        self._first_s = self._last_s = 0.0
+
+    def add(self, value: LiveValue) -> None:
+        self._last_s = time.monotonic()
+        if not self.latency_ms:
+            self._first_s = self._last_s
+        self.latency_ms.append(value.latency_ms)
+        self._passed_over += value.passed_over
+
+    def line(self) -> str:
+        import numpy as np
+
+        n = len(self.latency_ms)
+        if not n:
+            return "No values"
+        taken_s = self._last_s - self._first_s
+        rate = f" in {taken_s:.1f} s ({(n - 1) / taken_s:.1f}/s)" if n > 1 else ""
+        median, high, most = np.percentile(self.latency_ms, (50, 95, 100))
+        return (
+            f"{n} value{'s' if n > 1 else ''}{rate}, {self._passed_over} frames passed over;"
+            f" capture to value: median {median:.1f} ms, 95 % within {high:.1f} ms, at most {most:.1f} ms"
+        )
+
+
+class _Kept:
+    """What --out writes at the end."""
+
+    def __init__(
+        self,
+        folder: Path,
+        stem: str,
+        source: LiveSource,
+        network: NetworkDetector,
+        definition: AngleDefinition,
+        options: dict[str, Any],
+    ) -> None:
+        from ..live_recording import Recording
+        from ..tracking import tracking_settings
+
+        self.recording = Recording(network.keypoints, definition)
+        self._folder, self._stem, self._source = folder, stem, source
+        self._provenance = network.provenance
+        self._settings = tracking_settings(definition, **options)
+
+    def write(self) -> None:
+        from ..bookkeeping import record_file
+        from ..figures import write_angle_figure
+        from ..results import write_results
+
+        table = self.recording.table(
+            self._source.name, self._provenance, self._settings, self._source.warnings
+        )
+        csv_path, _, _ = write_results(table, self._folder, self._stem)
+        figure_path = csv_path.with_suffix(".png")
+        write_angle_figure(table, figure_path)
+        record_file(self._folder, self._stem, figure_path)
+        talk.say(f"{len(table)} frames -> {csv_path}")
+
+
+@contextmanager
+def _little_to_sweep() -> Iterator[None]:
+    """Python's collector leaves alone what is loaded by now: looking through it takes it up to 0.1 s."""
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+
+
+@contextmanager
+def _stopped_by_signals() -> Iterator[threading.Event]:
+    """An event that Ctrl-C and SIGTERM set; a second one ends the program in its usual way."""
+    stop = threading.Event()
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def end(number: int, frame: object) -> None:
+        stop.set()
+        signal.signal(number, before[signal.Signals(number)])
+
+    for number in before:
+        signal.signal(number, end)
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _camera_mode(size: str | None, rate: float | None, format: str | None) -> CameraMode | None:
+    from ..cameras import CameraMode
+
+    if size is None and rate is None and format is None:
+        return None
+    return CameraMode(None if size is None else size_wh(size), rate, format)
+
+
+def _check_free(project: Project, name: str) -> None:
+    """See that a table of this name would overwrite nothing."""
+    folder = project.results_dir
+    if Path(name).name != name or name.startswith("."):
+        raise BendtrackError(f"--out: expected the name of a table, got '{name}'")
+    taken = [folder / f"{name}{suffix}" for suffix in (".csv", ".h5", ".json", ".png")]
+    for path in taken:
+        if path.exists():
+            raise ResultsError(f"--out: expected a new name, got '{name}': {path} is there already")

@@ -1,0 +1,89 @@
+"""Values measured live, kept to become an ordinary angle table."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from .angle import AngleDefinition
+from .live import LiveValue
+from .results import AngleTable, json_ready
+from .types import Flag
+
+
+class Recording:
+    """Rows of an angle table, one for every frame of the source; those passed over have a time and a flag.
+
+    Parameters
+    ----------
+    keypoints : names, in the order of the detector's arrays
+    definition : which angle was measured
+    """
+
+    def __init__(self, keypoints: Sequence[str], definition: AngleDefinition) -> None:
+        self._keypoints = tuple(keypoints)
+        self._definition = definition
+        self._numbers = array("d")  # row by row; an hour at 60 frames/s takes 55 MB
+        self._flag: list[Flag] = []
+
+    def add(self, value: LiveValue) -> None:
+        """Keep a value, and the times of the frames passed over for it."""
+        k = len(self._keypoints)
+        for time_s in value.passed_over_s:
+            self._numbers.extend([time_s, *[np.nan] * (2 + 7 * k)])
+            self._flag.append(Flag.PASSED_OVER)
+        self._numbers.extend([value.time_s, value.angle_deg, value.angle_sd_deg])
+        for values in (value.found.xy, value.found.likelihood, value.found.covariance):
+            self._numbers.extend(values.ravel().tolist())
+        self._flag.append(value.flag)
+
+    def table(
+        self,
+        source: str,
+        detector_provenance: Mapping[str, Any],
+        settings: Mapping[str, Any],
+        warnings: Sequence[str] = (),
+    ) -> AngleTable:
+        """The table of what was kept.
+
+        Parameters
+        ----------
+        source : what was filmed with
+        settings : as `tracking.tracking_settings` gives them
+        """
+        t, k = len(self._flag), len(self._keypoints)
+        rows = np.array(self._numbers).reshape(t, 3 + 7 * k)
+        time_s, angle_deg, angle_sd_deg = rows[:, :3].T
+        xy, likelihood, covariance = np.split(rows[:, 3:], [2 * k, 3 * k], axis=1)
+        passed_over = sum(flag == Flag.PASSED_OVER for flag in self._flag)
+        provenance = {
+            "bendtrack": version("bendtrack"),
+            # No hash: what was measured live never counts as the tracked table of a file.
+            "video": {
+                "name": source,
+                "sha256": None,
+                "live": True,
+                "frames": t,
+                "frames_passed_over": passed_over,
+            },
+            "detector": detector_provenance,
+            "settings": settings,
+            "warnings": list(warnings),
+            "rows": {kind.value or "sound": self._flag.count(kind) for kind in Flag},
+        }
+        return AngleTable(
+            time_s=time_s,
+            angle_deg=angle_deg,
+            angle_sd_deg=angle_sd_deg,
+            flag=np.array(self._flag, dtype=np.str_),
+            xy=xy.reshape(t, k, 2),
+            likelihood=likelihood,
+            covariance=covariance.reshape(t, k, 2, 2),
+            keypoints=self._keypoints,
+            definition=self._definition,
+            provenance=json_ready(provenance),
+        )

@@ -1,0 +1,240 @@
+"""Where live frames come from: a file played in real time, a URL, a camera (found in `cameras.py`)."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import av
+from av.codec.context import Flags as CodecFlags
+from av.format import Flags as FormatFlags
+
+from .cameras import Camera, CameraMode, cameras, find_camera, is_camera_device, opening
+from .container import Orientation, orientation
+from .errors import VideoError, reason
+from .live import Arrival, LiveSource
+from .video import Frame, Video
+
+_OPEN_S = 10.0
+_SILENCE_S = 5.0
+
+# A playlist that a camera serves must not reach for files of this machine.
+_PROTOCOLS = ("http", "https", "rtmp", "rtmps", "rtp", "rtsp", "rtsps", "srt", "tcp", "udp")
+_BENEATH = ("crypto", "hls", "httpproxy", "tls")
+# Servers of recordings send as fast as they can; those of other protocols keep time themselves.
+_HURRIED = ("http", "https")
+# What was read to find out what it is, is old by then; of a recording it is the beginning.
+_FORGET_BEGINNING = {"fflags": "nobuffer"}
+
+
+def open_source(wanted: str | None, mode: CameraMode | None = None) -> LiveSource:
+    """The file, URL or camera that is meant.
+
+    Parameters
+    ----------
+    wanted : path of a video, URL, a camera's number, device or name; None takes the first camera
+    mode : how a camera is to run; only cameras can be told
+
+    Raises
+    ------
+    VideoError
+        There is no such thing, it cannot be opened, or it is not video.
+    """
+    if wanted is not None and is_camera_device(wanted):
+        return Stream.from_camera(Camera(wanted, wanted), mode)
+    is_url = wanted is not None and "://" in wanted
+    if wanted is None or not (is_url or Path(wanted).exists()):
+        return Stream.from_camera(_camera(wanted), mode)
+    if mode is not None:
+        raise VideoError(f"--size, --rate and --camera-format: expected a camera, got {wanted}")
+    return Stream.from_url(wanted) if is_url else PlayedFile(Path(wanted))
+
+
+def _camera(wanted: str | None) -> Camera:
+    try:
+        return find_camera(wanted, cameras())
+    except VideoError:
+        if wanted is not None and (Path(wanted).suffix or "/" in wanted or "\\" in wanted):
+            raise VideoError(f"{wanted}: no such file") from None
+        raise
+
+
+class PlayedFile:
+    """A video file, each frame given out when its presentation time has come, as a camera would.
+
+    Raises
+    ------
+    VideoError
+        See `Video`.
+    """
+
+    silence_s: float | None = None
+
+    def __init__(self, path: Path) -> None:
+        self._video = Video(path)
+        self.name = str(path)
+        self.size_wh = self._video.size_wh
+        self.rate = self._video.frame_rate
+
+    @property
+    def warnings(self) -> list[str]:
+        """What is wrong with the file (see `Video`)."""
+        return self._video.warnings
+
+    def arrivals(self, begin: threading.Event, stop: threading.Event) -> Iterator[Arrival]:
+        """Frames in real time (see `LiveSource`)."""
+        begin.wait()
+        yield from _in_real_time(self._video, stop)
+
+
+class Stream:
+    """A camera or a URL, opened and running."""
+
+    def __init__(self, address: str, name: str, format: str | None, options: Mapping[str, str]) -> None:
+        self.name = name
+        self.warnings: list[str] = []
+        try:
+            self._container = av.open(
+                address, format=format, options=dict(options), timeout=(_OPEN_S, _SILENCE_S)
+            )
+        except av.ExitError as error:
+            raise VideoError(f"{name}: no answer within {_OPEN_S:g} s") from error
+        except (av.FFmpegError, OSError, ValueError) as error:
+            raise VideoError(f"{name}: cannot be opened ({reason(error)})") from error
+        streams = self._container.streams.video
+        if not streams or streams[0].codec_context is None:
+            self._container.close()
+            raise VideoError(f"{name}: expected video, got a source without any that can be decoded")
+        self._stream = streams[0]
+        context = self._stream.codec_context
+        context.thread_count = 1  # every further one would hold a frame back
+        context.flags |= CodecFlags.low_delay
+        self.size_wh = (context.width, context.height)
+        if not all(self.size_wh):
+            self._container.close()
+            raise VideoError(f"{name}: delivers no picture")
+        rate = self._stream.average_rate or self._stream.guessed_rate
+        self.rate = float(rate) if rate else None
+        # Of a mere row of pictures FFmpeg makes up the times, as if they came at a constant rate.
+        no_times = int(FormatFlags.no_timestamps.value)  # type: ignore[call-overload] # PyAV's stub errs
+        self._has_times = not self._container.format.flags & no_times
+        is_device = format is not None
+        self._has_end = self._container.duration is not None and not is_device
+        self._is_hurried = self._has_end and _protocol(address) in _HURRIED
+        self.silence_s = None if self._is_hurried else _SILENCE_S
+
+    @classmethod
+    def from_url(cls, url: str) -> Stream:
+        """A stream or a recording on the network.
+
+        Raises
+        ------
+        VideoError
+            It cannot be reached or is not video.
+        """
+        protocol = _protocol(url)
+        if protocol not in _PROTOCOLS:
+            raise VideoError(f"{url}: expected a URL that begins with {', '.join(_PROTOCOLS)}")
+        options = {"protocol_whitelist": ",".join((*_PROTOCOLS, *_BENEATH))}
+        if protocol not in _HURRIED:
+            options |= _FORGET_BEGINNING
+        if protocol.startswith("rtsp"):
+            # By UDP, a lost packet would damage all frames up to the next key frame.
+            options["rtsp_flags"] = "prefer_tcp"
+        return cls(url, url, None, options)
+
+    @classmethod
+    def from_camera(cls, camera: Camera, mode: CameraMode | None = None) -> Stream:
+        """A camera, in its own mode or in the one asked for.
+
+        Raises
+        ------
+        VideoError
+            It cannot be opened (in use, not permitted, not in this mode).
+        """
+        format, options = opening(mode)
+        return cls(camera.address, f"camera {camera.name}", format, options | _FORGET_BEGINNING)
+
+    def arrivals(self, begin: threading.Event, stop: threading.Event) -> Iterator[Arrival]:
+        """Frames as they come; of a recording that a server sends at once, in real time (see `LiveSource`)."""
+        with self._container:
+            if self._is_hurried:
+                begin.wait()
+                yield from _in_real_time((arrival.frame for arrival in self._as_they_come(begin)), stop)
+            else:
+                yield from self._as_they_come(begin)
+
+    def _as_they_come(self, begin: threading.Event) -> Iterator[Arrival]:
+        index = 0
+        origin: Arrival | None = None
+        for arrival in self._decoded():
+            if not begin.is_set():
+                continue
+            origin = origin or arrival
+            time_s = arrival.frame.time_s - origin.frame.time_s
+            if math.isnan(time_s):  # without presentation times, the clock on the wall
+                time_s = arrival.at_s - origin.at_s
+            yield Arrival(replace(arrival.frame, index=index, time_s=time_s), arrival.at_s)
+            index += 1
+
+    def _decoded(self) -> Iterator[Arrival]:
+        """All frames, their `time_s` the presentation time as it stands, NaN without."""
+        turn: Orientation | None = None
+        damaged = False  # since a frame that could not be decoded, up to the next key frame
+        for at_s, stamp_s, picture in self._pictures():
+            if picture is None or picture.key_frame:
+                damaged = picture is None
+            if picture is not None and turn is None:
+                turn, _, _ = orientation(picture)
+            yield Arrival(
+                Frame(0, stamp_s, picture, turn or Orientation(), damaged and picture is not None), at_s
+            )
+
+    def _pictures(self) -> Iterator[tuple[float, float, av.VideoFrame | None]]:
+        """When each packet came, its presentation time in s, and its picture, None if it could not be decoded."""
+        packets = self._container.demux(self._stream)
+        while True:
+            try:
+                packet = next(packets)
+            except StopIteration:
+                break
+            except av.ExitError as error:
+                raise VideoError(f"{self.name}: no frame came for {_SILENCE_S:g} s") from error
+            except (av.FFmpegError, OSError) as error:
+                raise VideoError(f"{self.name}: stopped delivering frames ({reason(error)})") from error
+            at_s = time.perf_counter()
+            try:
+                for picture in self._stream.codec_context.decode(packet):
+                    stamp_s = self._stamp_s(picture)
+                    yield at_s, stamp_s, None if picture.is_corrupt else picture
+            except av.EOFError:
+                break
+            except av.FFmpegError:
+                yield at_s, self._stamp_s(packet), None
+        if not self._has_end:
+            raise VideoError(f"{self.name}: stopped delivering frames")
+
+    def _stamp_s(self, of: av.Packet | av.VideoFrame) -> float:
+        if of.pts is None or of.time_base is None or not self._has_times:
+            return math.nan
+        return float(of.pts * of.time_base)
+
+
+def _protocol(url: str) -> str:
+    return url.partition("://")[0].lower()
+
+
+def _in_real_time(frames: Iterable[Frame], stop: threading.Event) -> Iterator[Arrival]:
+    """Frames when their time has come, which is then when they count as captured."""
+    start_s: float | None = None
+    for frame in frames:
+        if start_s is None:
+            start_s = time.perf_counter() - frame.time_s
+        due_s = start_s + frame.time_s
+        if stop.wait(max(0.0, due_s - time.perf_counter())):
+            return
+        yield Arrival(frame, due_s)

@@ -1,0 +1,85 @@
+"""From what was found in frames to the rows of an angle table: the angle, its standard deviation, the flag.
+
+One meaning for videos (`tracking.py`) and live pictures (`live.py`). The angle itself is in `angle.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .angle import AngleDefinition, bending_angle
+from .errors import AngleError
+from .types import Detections, Flag, FloatArray
+
+# DeepLabCut's pcutoff, which users know.
+MIN_LIKELIHOOD = 0.6
+
+
+class AngleRows(NamedTuple):
+    """What an angle table says of T frames: (T,) degrees, degrees, values of `types.Flag`."""
+
+    angle_deg: FloatArray
+    angle_sd_deg: FloatArray
+    flag: NDArray[np.str_]
+
+
+def check_points(keypoints: Sequence[str], definition: AngleDefinition) -> None:
+    """See that a detector finds the points of an angle.
+
+    Raises
+    ------
+    AngleError
+        It does not.
+    """
+    missing = [point for point in definition.points if point not in keypoints]
+    if missing:
+        raise AngleError(
+            f"the angle needs keypoint '{missing[0]}', the detector finds {', '.join(keypoints)}"
+        )
+
+
+def measure(
+    found: Detections,
+    keypoints: Sequence[str],
+    definition: AngleDefinition,
+    size_wh: tuple[int, int],
+    *,
+    decoded: np.ndarray,
+    damaged: np.ndarray,
+    min_likelihood: float = MIN_LIKELIHOOD,
+) -> AngleRows:
+    """The bending angle of frames, with a flag on every row that is missing or to be doubted.
+
+    Parameters
+    ----------
+    found : of T frames; NaN where a frame could not be decoded
+    keypoints : the K names
+    definition : which angle, of which of them
+    size_wh : of the frames, px
+    decoded, damaged : (T,) bool, as `types.Flag` means them
+    min_likelihood : a row with a keypoint of the angle below this is flagged `low_likelihood`
+    """
+    angle_deg, angle_sd_deg, coincident = bending_angle(found.xy, keypoints, definition, found.covariance)
+    chain = [keypoints.index(point) for point in definition.points]
+    outside = _outside(found.xy[:, chain], size_wh)
+    for lost in (coincident, outside):
+        angle_deg[lost] = angle_sd_deg[lost] = np.nan
+    with np.errstate(invalid="ignore"):
+        unlikely = (found.likelihood[:, chain] < min_likelihood).any(axis=1) | np.isnan(angle_deg)
+    flag = np.select(
+        [~decoded, coincident, outside, damaged, unlikely],
+        [Flag.UNDECODABLE, Flag.COINCIDENT_POINTS, Flag.OUT_OF_FRAME, Flag.DAMAGED, Flag.LOW_LIKELIHOOD],
+        default=Flag.NONE,
+    )
+    return AngleRows(angle_deg, angle_sd_deg, flag)
+
+
+def _outside(xy: FloatArray, size_wh: tuple[int, int]) -> np.ndarray:
+    """Rows (T,) with one of the points (T, P, 2) outside the frame, which ends half a px beyond centres."""
+    with np.errstate(invalid="ignore"):
+        outside = (xy < -0.5) | (xy > np.array(size_wh) - 0.5)
+    return np.asarray(outside.any(axis=(1, 2)))
