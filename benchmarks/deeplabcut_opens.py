@@ -132,13 +132,18 @@ def inside(folder: Path, video: Path | None) -> None:
     deeplabcut.check_labels(config, draw_skeleton=True)
     drawn = list((folder / "labeled-data").glob("*_labeled/*.png"))
     said.append(f"check_labels drew {len(drawn)} pictures")
+    known: dict[str, object] = {"said": said, "labels": labels}
     if video is not None:
-        said += analyze(config, folder, video)
-    (folder / "inside.json").write_text(json.dumps({"said": said, "labels": labels}))
+        rows, seconds = analyze(config, folder, video)
+        known["analyzed_frames_per_s"] = rows / seconds
+        said.append(
+            f"analyze_videos (random weights): {rows} frames in {seconds:.0f} s, {rows / seconds:.2f} frames/s"
+        )
+    (folder / "inside.json").write_text(json.dumps(known))
 
 
-def analyze(config: str, folder: Path, video: Path) -> list[str]:
-    """Its analyze_videos, with a snapshot of random weights in the place of a trained one."""
+def analyze(config: str, folder: Path, video: Path) -> tuple[int, float]:
+    """Its analyze_videos, with a snapshot of random weights in the place of a trained one: frames and seconds."""
     import deeplabcut
     import pandas as pd
     import torch
@@ -154,10 +159,7 @@ def analyze(config: str, folder: Path, video: Path) -> list[str]:
     deeplabcut.analyze_videos(config, [str(video)], save_as_csv=True, device="cpu", destfolder=str(folder))
     seconds = time.perf_counter() - begun
     [found] = folder.glob(f"{video.stem}DLC*.csv")
-    rows = len(pd.read_csv(found, header=[0, 1, 2], index_col=0))
-    return [
-        f"analyze_videos (random weights): {rows} frames in {seconds:.0f} s, {rows / seconds:.2f} frames/s"
-    ]
+    return len(pd.read_csv(found, header=[0, 1, 2], index_col=0)), seconds
 
 
 if __name__ == "__main__":

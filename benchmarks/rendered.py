@@ -33,7 +33,14 @@ class LabelledTrial:
 
 
 def labelled_trial(
-    folder: Path, *, seed: int, end_vector_px: float, n_labels: int, noise_px: float, seconds: float = 12.0
+    folder: Path,
+    *,
+    seed: int,
+    end_vector_px: float,
+    n_labels: int,
+    noise_px: float,
+    seconds: float = 12.0,
+    size_wh: tuple[int, int] = (640, 480),
 ) -> LabelledTrial:
     """Render two triangle cycles to 205 degrees, and label them as a person with `noise_px` of error would."""
     trial = render_trial(
@@ -43,6 +50,7 @@ def labelled_trial(
         cycles=2,
         angle_max_deg=205.0,
         end_vector_px=end_vector_px,
+        size_wh=size_wh,
     )
     labelled, xy = labelled_sample(trial, count=n_labels, noise_px=noise_px, seed=seed)
     labels = folder / "labels.csv"

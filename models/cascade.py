@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from ..tracker.types import Detections, FloatArray, ImageArray
+from ..tracker.types import Detections, FloatArray, Frames, ImageArray
 from .finder import LOCATOR_MULTIPLE, Finder
 from .heatmaps import decode
 from .network import HeatmapNetwork
@@ -59,9 +59,7 @@ class Cascade(nn.Module):
         self.eval()
         return Finder(TorchReader(self.locator), TorchReader(self.refiner))
 
-    def detect(
-        self, frames: Sequence[ImageArray] | ImageArray, region: WorkingRegion, partner: Sequence[int]
-    ) -> Detections:
+    def detect(self, frames: Frames, region: WorkingRegion, partner: Sequence[int]) -> Detections:
         """`Finder.detect` with these networks."""
         return self.finder().detect(frames, region, partner)
 

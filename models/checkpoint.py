@@ -6,7 +6,6 @@ One file, so that weights and what they mean cannot part; a readable copy of the
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -14,7 +13,7 @@ import torch
 from safetensors.torch import load_file
 
 from ..tracker.atomic import atomic_write_text
-from ..tracker.types import Detections, ImageArray
+from ..tracker.types import Detections, Frames
 from .cascade import Cascade
 from .header import WEIGHTS_FILE, Header, read_header, told_as_damage, weights_file
 from .network import BACKBONES
@@ -32,7 +31,7 @@ class Checkpoint(Header):
 
     network: Cascade
 
-    def detect(self, frames: Sequence[ImageArray] | ImageArray) -> Detections:
+    def detect(self, frames: Frames) -> Detections:
         """Keypoints of RGB frames of one size (N, H, W, 3) uint8, each found by itself, calibrated."""
         h, w = frames[0].shape[:2]
         region = self.region_for((w, h))

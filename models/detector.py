@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ..tracker.errors import CheckpointError
-from ..tracker.types import Detections, ImageArray
+from ..tracker.types import Detections, Frames
 from ..tracker.video import file_sha256
 from .compiled import ENGINES, compiled_finder, engine_record
 from .finder import Finder
@@ -106,8 +106,8 @@ class NetworkDetector:
             "follows": self._follows,
         }
 
-    def detect(self, frames: ImageArray) -> Detections:
-        """Keypoints of RGB frames (N, H, W, 3) uint8, each found by itself."""
+    def detect(self, frames: Frames) -> Detections:
+        """Keypoints of frames of one size, each found by itself."""
         h, w = frames[0].shape[:2]
         region = self.header.region_for((w, h))
         return self.header.calibrated(self._finder.detect(frames, region, self.header.partner), region)

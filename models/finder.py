@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..tracker.types import Detections, FloatArray, ImageArray
+from ..tracker.types import Detections, FloatArray, Frames, ImageArray
 from .regions import WorkingRegion, patch_directions
 from .views import PATCH_SIDE, View, patch_view, resize, resized_view
 
@@ -44,8 +44,6 @@ class Reader(Protocol):
 
 IntArray = NDArray[np.int_]
 BoolArray = NDArray[np.bool_]
-Frames = Sequence[ImageArray] | ImageArray
-"""RGB frames of one size, (N, H, W, 3) uint8."""
 
 
 Cell = tuple[int, int]

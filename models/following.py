@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..tracker.types import Detections, FloatArray
+from ..tracker.types import Detections, FloatArray, Frames
 from .calibration import LEAST_PEAK
-from .finder import Cell, Finder, Frames, IntArray, cut_patch, foretold, joined, on_grid, settle
+from .finder import Cell, Finder, IntArray, cut_patch, foretold, joined, on_grid, settle
 from .header import Header
 from .stillness import Sight
 

@@ -47,8 +47,9 @@ CONSENSUS_FROM = 0.3
 """Share of the steps after which positions follow the averaged network: before, it knows less than a click."""
 
 REFINER_BATCHES = 2
-"""Batches that the refiner learns from in a step: the locator's one takes as long, and it is the refiner that decides
-how exact positions are."""
+LOCATOR_SHARE = 0.75
+"""Batches that the refiner learns from in a step, and the part of one that the locator sees: both then take the same
+time, and it is the refiner that decides how exact positions are."""
 
 
 @dataclass(frozen=True)
@@ -240,7 +241,8 @@ class _Trainer:
             chosen = [self.trained[i] for i in order]
             frames = {i: replace(self.prepared[i], xy=self.targets[i]) for i in set(chosen)}
             if turn == 0:
-                locate = locator_batch(frames, chosen, self.crop_wh, rng)
+                some = chosen[: math.ceil(LOCATOR_SHARE * count)]
+                locate = locator_batch(frames, some, self.crop_wh, rng)
             drawn.append(refiner_batch(frames, chosen, self.partner, rng))
         return locate, drawn
 

@@ -29,7 +29,7 @@ SMALL = {
         ],
         "largest error of a hysteresis ratio",
     ),
-    "speed.py": (["--seconds", "1.5", "--rounds", "1", "--steps", "2"], "decode to table / decoding"),
+    "speed.py": (["--seconds", "1.5", "--rounds", "1", "--steps", "2"], "ratio to decoding alone"),
 }
 
 

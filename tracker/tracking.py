@@ -85,7 +85,7 @@ def track(
     with closing(read_ahead(_batches(source, detector.batch_size), _BATCHES_AHEAD)) as batches:
         for batch in batches:
             if batch.images:
-                detections = detector.detect(np.stack(batch.images))
+                detections = detector.detect(batch.images)
                 if detections.likelihood.shape != (len(batch.images), k):
                     raise ValueError(
                         f"expected detections of {len(batch.images)} frames and {k} keypoints, "

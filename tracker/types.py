@@ -15,7 +15,7 @@ missing     NaN, and a `Flag` that says why.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -26,6 +26,9 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.floating[Any]]
 ImageArray = NDArray[np.uint8]
+
+Frames = Sequence[ImageArray] | ImageArray
+"""RGB frames of one size, N of (H, W, 3) uint8, apart or as one array."""
 
 
 class Flag(StrEnum):
@@ -88,8 +91,8 @@ class Detector(Protocol):
     def provenance(self) -> Mapping[str, Any]:
         """JSON-ready settings and hashes: two detectors with equal provenance give equal detections."""
 
-    def detect(self, frames: ImageArray) -> Detections:
-        """Find the keypoints in RGB frames, uint8 (N, H, W, 3). N may be smaller than `batch_size`."""
+    def detect(self, frames: Frames) -> Detections:
+        """Find the keypoints in frames. There may be fewer than `batch_size`."""
 
 
 @runtime_checkable
