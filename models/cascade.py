@@ -17,15 +17,16 @@ from .heatmaps import decode
 from .network import HeatmapNetwork
 from .regions import WorkingRegion
 
+CONVOLUTIONS = 2
+"""Half of a ResNet-18's blocks find what all of them find, on thirty frames of one actuator."""
+
 LOCATOR_STAGES = 3
 """Three of the four residual stages see the whole body at the locator's scale; the fourth doubles the time of a
 training step and found nothing more."""
 
 REFINER_STAGES = 2
-REFINER_CONVOLUTIONS = 2
 REFINER_WIDTH = 32
-"""Two stages see a whole patch, also with half of their blocks; one stage does not, and takes one end for another.
-Nor is anything gained by a wider way up."""
+"""Two stages see a whole patch; one does not, and takes one end for another. Nothing is gained by a wider way up."""
 
 assert LOCATOR_MULTIPLE == 2 ** (LOCATOR_STAGES + 1)
 
@@ -41,9 +42,9 @@ class Cascade(nn.Module):
 
     def __init__(self, backbone: str, n_keypoints: int) -> None:
         super().__init__()
-        self.locator = HeatmapNetwork(backbone, LOCATOR_STAGES, n_keypoints)
+        self.locator = HeatmapNetwork(backbone, LOCATOR_STAGES, n_keypoints, convolutions=CONVOLUTIONS)
         self.refiner = HeatmapNetwork(
-            backbone, REFINER_STAGES, n_keypoints, convolutions=REFINER_CONVOLUTIONS, width=REFINER_WIDTH
+            backbone, REFINER_STAGES, n_keypoints, convolutions=CONVOLUTIONS, width=REFINER_WIDTH
         )
 
     @classmethod
