@@ -6,6 +6,7 @@ How the files are made, and what each engine may change, is in `engine.py`.
 from __future__ import annotations
 
 import json
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -28,24 +29,24 @@ class CompiledReader:
     Parameters
     ----------
     model : an `openvino.Model`, or the path of its .xml
-    threads : how many cores it may use; None takes all
+    workers : how many threads may ask it at once; each is answered on a core of its own, as pictures are small
     """
 
-    def __init__(self, model: Any, threads: int | None = None) -> None:
+    def __init__(self, model: Any, workers: int = 1) -> None:
         import openvino
 
-        config: dict[str, Any] = {"PERFORMANCE_HINT": "LATENCY"}
-        if threads is not None:
-            config["INFERENCE_NUM_THREADS"] = threads
+        config = {"NUM_STREAMS": workers, "INFERENCE_NUM_THREADS": workers}
         source = str(model) if isinstance(model, Path) else model
-        self._request = openvino.Core().compile_model(source, "CPU", config).create_infer_request()
+        self._model = openvino.Core().compile_model(source, "CPU", config)
+        self._own = threading.local()
 
     def __call__(self, pictures: ImageArray) -> Detections:
         """Every keypoint in pictures (N, 3, H, W) uint8."""
-        self._request.infer([pictures])
-        xy, likelihood, covariance = (
-            self._request.get_output_tensor(i).data.astype(np.float64) for i in range(3)
-        )
+        if not hasattr(self._own, "request"):
+            self._own.request = self._model.create_infer_request()
+        request = self._own.request
+        request.infer([pictures], share_inputs=True)
+        xy, likelihood, covariance = (request.get_output_tensor(i).data.astype(np.float64) for i in range(3))
         return Detections(xy, likelihood, covariance)
 
 
@@ -66,8 +67,8 @@ def engine_record(checkpoint_file: Path, sha256: str) -> dict[str, Any] | None:
         return None
 
 
-def compiled_finder(checkpoint_file: Path, engine: str, threads: int | None = None) -> Finder:
+def compiled_finder(checkpoint_file: Path, engine: str, workers: int = 1) -> Finder:
     """Locator and refiner of an engine that was built and passed."""
     folder = engine_folder(checkpoint_file)
-    locate, refine = (CompiledReader(folder / f"{part}-{engine}.xml", threads) for part in PARTS)
+    locate, refine = (CompiledReader(folder / f"{part}-{engine}.xml", workers) for part in PARTS)
     return Finder(locate, refine)

@@ -158,8 +158,11 @@ def on_grid(near: FloatArray, region: WorkingRegion, partner: Sequence[int]) -> 
 def cut_patch(frame: ImageArray, place: IntArray, region: WorkingRegion) -> Patch:
     """The patch of a frame at a place (3,)."""
     middle = place[:2] * (GRID_PATCH_PX / region.refiner_scale)
-    source, source_view = _around(frame, middle, region)
     turn = float(place[2] * np.deg2rad(GRID_TURN_DEG))
+    if region.fine_scale == 1.0:
+        view = patch_view(middle, region.magnification, turn)
+        return Patch(view.cut(frame), view)
+    source, source_view = _around(frame, middle, region)
     view = patch_view(source_view.to_input(middle), region.magnification, turn)
     return Patch(view.cut(source), view.after(source_view))
 
@@ -227,11 +230,9 @@ def _region_picture(frame: ImageArray, region: WorkingRegion, view: View) -> Ima
 
 
 def _around(frame: ImageArray, middle: FloatArray, region: WorkingRegion) -> tuple[ImageArray, View]:
-    """What a patch is cut from: the frame, or where the refiner looks at it smaller, that part of it made smaller."""
+    """A part of a frame around a patch's middle, made as small as the refiner looks at it, and how."""
     scale = region.fine_scale
     h, w = frame.shape[:2]
-    if scale == 1.0:
-        return frame, resized_view(1.0, (0, 0), (w, h))
     # Half of a turned patch's diagonal, and a little for the interpolation.
     reach = (PATCH_SIDE * 0.71 + 2) / scale
     left, top = (int(v) for v in np.clip(middle - reach, 0, (w - 2, h - 2)))

@@ -24,8 +24,8 @@ AHEAD = 2
 SURE_SHARE = 0.5
 """A peak lower than this share of the usual one is not believed without a search."""
 
-CHECK_EVERY = 30
-"""Frames after which the locator is asked whatever the patches say: a false track ends within a second."""
+CHECK_EVERY = 60
+"""Frames after which the locator is asked whatever the patches say: a false track ends within two seconds."""
 
 LOST_PATCH_PX = 16.0
 """A keypoint that the locator puts further off than this is searched, and what is seen better is believed."""
@@ -84,7 +84,10 @@ class Follower:
         """Keypoints of the video's next frames, (N, H, W, 3) uint8 RGB, calibrated."""
         h, w = frames[0].shape[:2]
         self._region = self._header.region_for((w, h))
-        parts = [self._next(frames[start : start + AHEAD]) for start in range(0, len(frames), AHEAD)]
+        # The first frame tells where to look in the others.
+        begin = 1 if self._last is None else 0
+        parts = [self._next(frames[:begin])] if begin else []
+        parts += [self._next(frames[i : i + AHEAD]) for i in range(begin, len(frames), AHEAD)]
         return self._header.calibrated(joined(parts), self._region)
 
     def _next(self, frames: Frames) -> Detections:

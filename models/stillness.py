@@ -19,7 +19,7 @@ WINDOW_PX = 10.0
 STILL_PX = 0.05
 """A picture that moved by less, in patch px, did not move."""
 
-STILL_LEVELS = 1.5
+STILL_LEVELS = 2.0
 """Root mean square difference in grey levels that noise and compression make of a still picture."""
 
 _MIDDLE = slice(PATCH_SIDE // 2 - 20, PATCH_SIDE // 2 + 20)

@@ -129,7 +129,7 @@ def measure_live(
         # Networks are slow the first time. Frames that come meanwhile are not yet wanted.
         detector.detect(np.zeros((1, *source.size_wh[::-1], 3), np.uint8))
         if isinstance(detector, VideoDetector):
-            detector = detector.for_video()
+            detector = detector.follow()
         measuring = _Measuring(detector, definition, min_likelihood, source.size_wh)
         begun_s = last_s = time.perf_counter()
         newest.begin.set()

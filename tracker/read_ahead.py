@@ -1,16 +1,19 @@
-"""Work done ahead of the consumer, in a background thread with a small bounded queue.
+"""Work done ahead of the consumer, in background threads, a bounded number of items ahead.
 
-Decoding releases the interpreter lock, so it runs beside inference. Knows nothing of video.
+Decoding and networks release the interpreter lock, so they run beside each other. Knows nothing of video.
 """
 
 from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Generator, Iterable
+from collections import deque
+from collections.abc import Callable, Generator, Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
 
 T = TypeVar("T")
+R = TypeVar("R")
 
 _POLL_S = 0.1  # how late a stopped producer or a Ctrl-C may be noticed
 
@@ -71,3 +74,29 @@ def read_ahead(items: Iterable[T], size: int = 2) -> Generator[T, None, None]:
     finally:
         stopped.set()
         thread.join()
+
+
+def side_by_side(
+    work: Callable[[T], R], items: Iterable[T], workers: int
+) -> Generator[tuple[T, R], None, None]:
+    """Each of `items` with what `work` makes of it, in their order, `workers` of them worked on at the same time.
+
+    An exception of `work` is raised in its item's turn. When the consumer stops early, close the generator: what is
+    being worked on is waited for, the rest is left.
+
+    >>> list(side_by_side(abs, [-1, 2, -3], workers=2))
+    [(-1, 1), (2, 2), (-3, 3)]
+    """
+    waiting: deque[tuple[T, Future[R]]] = deque()
+    with ThreadPoolExecutor(max_workers=workers) as pool:
+        try:
+            for item in items:
+                waiting.append((item, pool.submit(work, item)))
+                if len(waiting) > workers:
+                    first, made = waiting.popleft()
+                    yield first, made.result()
+            for item, made in waiting:
+                yield item, made.result()
+        finally:
+            for _, made in waiting:
+                made.cancel()

@@ -10,6 +10,7 @@ import os
 from collections.abc import Callable, Generator
 from contextlib import closing
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -18,13 +19,13 @@ import numpy as np
 
 from .angle import AngleDefinition
 from .measuring import MIN_LIKELIHOOD, check_points, measure
-from .read_ahead import read_ahead
+from .read_ahead import read_ahead, side_by_side
 from .results import AngleTable, json_ready
-from .types import Detections, Detector, Flag, FloatArray, ImageArray, VideoDetector
+from .types import Detections, Detector, Flag, FloatArray, Frames, ImageArray, VideoDetector
 from .video import Video, file_sha256
 
-# Batches decoded ahead: one being used, one ready, one in the making.
-_BATCHES_AHEAD = 2
+# Batches decoded ahead, beside those being used and one in the making.
+_BATCHES_AHEAD = 1
 
 Progress = Callable[[int, int | None], None]
 
@@ -55,7 +56,7 @@ def track(
     Parameters
     ----------
     video : the video file
-    detector : finds keypoints in frames; a `VideoDetector` is asked for one of its own for this video
+    detector : finds keypoints in frames; a `VideoDetector` follows them through stretches of the video
     definition : which angle, of which of the detector's keypoints
     min_likelihood : a row with a keypoint of the angle below this is flagged `low_likelihood`
     progress : called after each batch with the number of frames done and the number claimed by the file
@@ -74,18 +75,22 @@ def track(
         The definition names a keypoint that the detector does not find.
     """
     check_points(detector.keypoints, definition)
-    if isinstance(detector, VideoDetector):
-        detector = detector.for_video()
     source = Video(video)
     k = len(detector.keypoints)
+    batch_size, workers, detect = detector.batch_size, 1, detector.detect
+    if isinstance(detector, VideoDetector):
+        batch_size, workers = detector.stretch_frames(source.size_wh), detector.workers
+        detect = partial(_followed, detector)
     time_s: list[float] = []
     decoded: list[bool] = []
     damaged: list[bool] = []
     found: list[tuple[FloatArray, FloatArray, FloatArray]] = []
-    with closing(read_ahead(_batches(source, detector.batch_size), _BATCHES_AHEAD)) as batches:
-        for batch in batches:
-            if batch.images:
-                detections = detector.detect(batch.images)
+    with (
+        closing(read_ahead(_batches(source, batch_size), _BATCHES_AHEAD)) as batches,
+        closing(side_by_side(lambda b: detect(b.images) if b.images else None, batches, workers)) as detected,
+    ):
+        for batch, detections in detected:
+            if detections is not None:
                 if detections.likelihood.shape != (len(batch.images), k):
                     raise ValueError(
                         f"expected detections of {len(batch.images)} frames and {k} keypoints, "
@@ -153,6 +158,11 @@ def tracking_settings(definition: AngleDefinition, min_likelihood: float = MIN_L
     """What besides video and detector decides the table; recorded in it and compared by `is_up_to_date`."""
     settings: dict[str, Any] = json_ready({"angle": asdict(definition), "min_likelihood": min_likelihood})
     return settings
+
+
+def _followed(detector: VideoDetector, frames: Frames) -> Detections:
+    """What is found in a stretch, by itself: the same, however many are worked on at once."""
+    return detector.follow().detect(frames)
 
 
 def _batches(source: Video, batch_size: int) -> Generator[_Batch, None, None]:

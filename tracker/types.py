@@ -99,8 +99,15 @@ class Detector(Protocol):
 class VideoDetector(Detector, Protocol):
     """A detector that does better, or sooner, when it is given the frames of one video in their order."""
 
-    def for_video(self) -> Detector:
-        """A detector for one video, fresh: it may use what it found in the frames before."""
+    @property
+    def workers(self) -> int:
+        """How many stretches of a video it can work on at the same time."""
+
+    def stretch_frames(self, size_wh: tuple[int, int]) -> int:
+        """Frames of a stretch, in frames of that size."""
+
+    def follow(self) -> Detector:
+        """A detector for consecutive frames, fresh: it may use what it found in the frames before."""
 
 
 @runtime_checkable

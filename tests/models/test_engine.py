@@ -104,13 +104,13 @@ def test_the_engine_that_is_used_is_recorded(trained_project: Project) -> None:
     folder = trained_project.models_dir / "model"
     provenances = [detector_of(folder, engine).provenance for engine in ("torch", "openvino")]
     assert [provenance["engine"] for provenance in provenances] == ["torch", "openvino"]
-    assert detector_of(folder, "torch").for_video().provenance["follows"] is True
+    assert detector_of(folder, "torch").follow().provenance["follows"] is True
 
 
 def test_tracking_with_a_compiled_network_needs_no_torch(untrained: Path) -> None:
     code = (
         "import sys, numpy as np; from pathlib import Path; from bendtrack.models import NetworkDetector;"
-        f"found = NetworkDetector.load(Path({str(untrained)!r}), device='cpu').for_video()"
+        f"found = NetworkDetector.load(Path({str(untrained)!r}), device='cpu').follow()"
         ".detect(np.zeros((2, 120, 160, 3), np.uint8)); assert found.xy.shape == (2, 4, 2);"
         "assert not {'torch', 'torchvision'} & set(sys.modules)"
     )

@@ -125,8 +125,8 @@ def test_a_false_track_ends_with_the_next_search(finder: Finder, header: Header)
     class FindsFirstTheFalse(FindsSpots):
         def __call__(self, pictures: np.ndarray) -> Detections:
             found = super().__call__(pictures)
-            if self.shown <= 2:
-                # As a locator that is taken in by something else in the first frames.
+            if self.shown <= 1:
+                # As a locator that is taken in by something else in the first frame.
                 return Detections(
                     np.broadcast_to(false * 0.5 - 0.25, found.xy.shape), found.likelihood, found.covariance
                 )

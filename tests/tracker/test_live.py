@@ -155,7 +155,12 @@ def test_the_detector_is_told_of_frames_that_it_is_spared(film):
             return super().detect(frames)
 
     class Follows(film.DiscDetector):
-        def for_video(self) -> OfOneVideo:
+        workers = 1
+
+        def stretch_frames(self, size_wh: tuple[int, int]) -> int:
+            return self.batch_size
+
+        def follow(self) -> OfOneVideo:
             return OfOneVideo()
 
     values = list(measure_live(Scripted(script, (160, 120)), Follows(), ANGLE))
