@@ -23,7 +23,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -45,7 +45,6 @@ from bendtrack.tracker.types import FloatArray
 from bendtrack.tracker.video import Video
 
 BENDTRACK = Path(sys.executable).parent / "bendtrack"
-MEBIBYTE = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -141,27 +140,32 @@ def drift(case: Case) -> Drift:
 
 
 def run_measured(words: Sequence[object]) -> tuple[float, float, list[float]]:
-    """A bendtrack command: seconds, peak memory, and memory every second while it ran (MiB)."""
+    """A bendtrack command: seconds, peak memory, and memory while it ran, in MiB."""
     begun = time.perf_counter()
     process = subprocess.Popen([BENDTRACK, *map(str, words)], stdout=subprocess.DEVNULL)
-    over_time: list[float] = []
+    over_time, peaks = [], [0.0]
     while True:
-        ended, status, usage = os.wait4(process.pid, os.WNOHANG)
-        if ended:
+        try:
+            process.wait(0.2)
             break
-        over_time += list(resident_mib(process.pid))
-        time.sleep(1.0 if len(over_time) > 10 else 0.1)
-    process.returncode = os.waitstatus_to_exitcode(status)
+        except subprocess.TimeoutExpired:
+            memory = memory_mib(process.pid)
+            peaks.append(memory.get("VmHWM", 0.0))
+            over_time.append(memory.get("VmRSS", 0.0))
     if process.returncode not in (0, 1):
         sys.exit(f"bendtrack {words[0]} ended with {process.returncode}")
-    return time.perf_counter() - begun, usage.ru_maxrss / 1024, over_time
+    return time.perf_counter() - begun, max(peaks), over_time
 
 
-def resident_mib(pid: int) -> Iterator[float]:
-    """Memory of a process, where the system tells."""
-    statm = Path(f"/proc/{pid}/statm")
-    if statm.is_file():
-        yield int(statm.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / MEBIBYTE
+def memory_mib(pid: int) -> dict[str, float]:
+    """What Linux says of a process's memory now (VmRSS) and at most (VmHWM)."""
+    status = Path(f"/proc/{pid}/status")
+    lines = status.read_text().splitlines() if status.is_file() else []
+    return {
+        line.split(":")[0]: int(line.split()[1]) / 1024
+        for line in lines
+        if line.startswith(("VmRSS", "VmHWM"))
+    }
 
 
 def copies(video: Path, out: Path, count: int) -> None:

@@ -14,7 +14,17 @@ import typer
 from ..errors import BendtrackError
 from . import talk
 
-_PACKAGES = ("av", "h5py", "matplotlib", "numpy", "opencv-python-headless", "pandas", "torch", "torchvision")
+_PACKAGES = (
+    "av",
+    "h5py",
+    "matplotlib",
+    "numpy",
+    "opencv-python-headless",
+    "openvino",
+    "pandas",
+    "torch",
+    "torchvision",
+)
 _BACKBONES_SHOWN = ("resnet18", "resnet34", "resnet50")
 
 
