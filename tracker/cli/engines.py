@@ -29,15 +29,16 @@ def load_network(
     """A network ready to track with; compiled first where that was not done yet and can be."""
     from ...models.compiled import ENGINES, engine_record
     from ...models.detector import CHOICES, DEVICES, NetworkDetector
-    from ...models.header import weights_file
+    from ...models.header import read_header, weights_file
     from ..video import file_sha256
 
     for option, value, choices in (("--engine", engine, CHOICES), ("--device", device, DEVICES)):
         if value not in choices:
             raise BendtrackError(f"{option}: expected {', '.join(choices)}, got '{value}'")
     file = weights_file(folder)
+    read_header(file)  # a file that is no network is not compiled
     on_cpu = device == "cpu" or engine in ENGINES or not NetworkDetector.gpu_is_likely()
-    if on_cpu and engine != "torch" and file.is_file() and engine_record(file, file_sha256(file)) is None:
+    if on_cpu and engine != "torch" and engine_record(file, file_sha256(file)) is None:
         _compile(folder)
     return NetworkDetector.load(folder, engine=engine, device=device, threads=threads)
 
