@@ -114,7 +114,10 @@ async function start() {
   pointer.addEventListener("missed", ({ detail }) => {
     say(detail.complete ? "All points are set. Drag one to move it." : "That is outside of the picture.");
   });
-  pointer.addEventListener("cancelled", () => open.adopt(open.frame, queue.latest(open.frame?.id)?.body));
+  pointer.addEventListener("cancelled", () => {
+    open.letGo();
+    open.adopt(open.frame, queue.latest(open.frame?.id)?.body);
+  });
 
   queue.addEventListener("status", () => showSaving(queue.status));
   queue.addEventListener("saved", ({ detail: { edit, answer } }) => {

@@ -14,6 +14,8 @@ export class OpenFrame extends EventTarget {
   selected = null;
   /** True while points may not be changed: another frame is on its way. */
   locked = true;
+  /** {keypoint: [x, y]} while the pointer's button is down on it: an answer that comes meanwhile leaves it there. */
+  #inHand = {};
   #save;
 
   /** save(frame, body, merge): put an edit on its way. */
@@ -30,6 +32,7 @@ export class OpenFrame extends EventTarget {
   open(frame, keypoints, unsent = null) {
     const another = frame.id !== this.frame?.id || this.isRepeat !== Boolean(frame.repeat);
     this.keypoints = keypoints;
+    if (another) this.#inHand = {};
     this.#take(frame, unsent);
     if (another || !keypoints.includes(this.selected)) {
       this.selected = this.missing()[0] ?? this.keypoints[0] ?? null;
@@ -91,14 +94,21 @@ export class OpenFrame extends EventTarget {
   /** Move a point on the screen only, while it is being dragged. */
   drag(keypoint, xy) {
     if (this.locked) return;
-    this.points[keypoint] = rounded(xy);
+    this.#inHand = { [keypoint]: rounded(xy) };
+    this.points[keypoint] = this.#inHand[keypoint];
     this.notVisible.delete(keypoint);
     this.#tell("points");
+  }
+
+  /** Forget what was being dragged; `adopt` then shows it where it was. */
+  letGo() {
+    this.#inHand = {};
   }
 
   /** Set points, {keypoint: [x, y]|null}, and save. `merge` as in `SaveQueue.add`. */
   set(changes, merge = null) {
     if (this.locked) return;
+    this.letGo();
     for (const [keypoint, xy] of Object.entries(changes)) {
       this.points[keypoint] = xy && rounded(xy);
       this.notVisible.delete(keypoint);
@@ -154,8 +164,8 @@ export class OpenFrame extends EventTarget {
   #take(frame, unsent) {
     const state = { points: {}, not_visible: [], note: "", flagged: false, skipped: false, ...frame, ...unsent };
     this.frame = frame;
-    this.points = { ...state.points };
-    this.notVisible = new Set(state.not_visible);
+    this.points = { ...state.points, ...this.#inHand };
+    this.notVisible = new Set(state.not_visible.filter((name) => !this.#inHand[name]));
     this.note = state.note;
     this.flagged = state.flagged;
     this.skipped = state.skipped;

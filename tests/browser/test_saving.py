@@ -136,3 +136,24 @@ def shown(labeller) -> np.ndarray:
     """Points as the list on the right has them, (K, 2) px, NaN where there is none."""
     words = labeller.page.locator("#points .point-value").all_inner_texts()
     return np.array([[float(c) for c in w.split()] if len(w.split()) == 2 else [np.nan] * 2 for w in words])
+
+
+def test_an_answer_while_the_button_is_down_takes_no_point_away(labeller, sample_truth) -> None:
+    image, truth = "img00400.png", sample_truth["img00400.png"]
+    page, held = labeller.page, []
+    labeller.open(image)
+    page.route(
+        "**/api/**", lambda route: held.append(route) if route.request.method == "PUT" else route.continue_()
+    )
+    labeller.click(truth[0])
+    page.mouse.move(*labeller.screen(truth[1]))
+    page.mouse.down()
+    page.wait_for_timeout(100)
+    with page.expect_response(lambda answer: answer.request.method == "PUT"):
+        held.pop().continue_()
+    page.wait_for_timeout(100)
+    page.mouse.up()
+    page.wait_for_timeout(100)
+    held.pop().continue_()
+    labeller.saved()
+    assert np.abs(labeller.xy_on_disk(image)[:2] - truth[:2]).max() < 1.0
