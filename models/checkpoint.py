@@ -52,7 +52,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
     Raises
     ------
     CheckpointError
-        If it is missing, damaged, of a newer format, or not ours.
+        If it is missing, damaged, of another format, or not ours.
     """
     path = weights_file(path)
     header = read_header(path, tuple(BACKBONES))

@@ -24,7 +24,7 @@ CHOICES = ("auto", *ENGINES, TORCH)
 DEVICES = ("auto", "cpu", "cuda")
 
 STRETCH_FRAMES = 48
-"""Frames of 640 x 480 that are followed from one search: half as many take a tenth longer, more gain little."""
+"""Frames of 640 x 480 that are followed from one search, which takes as long as two or three of them."""
 
 
 class NetworkDetector:

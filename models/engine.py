@@ -27,7 +27,7 @@ from torch import Tensor, nn
 
 from ..tracker.angle import bending_angle
 from ..tracker.atomic import atomic_path, atomic_write_text
-from ..tracker.errors import CheckpointError
+from ..tracker.errors import CheckpointError, reason
 from ..tracker.types import Detections, ImageArray
 from ..tracker.video import file_sha256
 from .cascade import Cascade
@@ -149,8 +149,7 @@ def build(
         }
         atomic_write_text(folder / RECORD, json.dumps(record, indent=2) + "\n")
     except OSError as error:
-        reason = error.strerror or str(error)
-        raise CheckpointError(f"{folder}: the engine cannot be written ({reason})") from error
+        raise CheckpointError(f"{folder}: the engine cannot be written ({reason(error)})") from error
     return record
 
 

@@ -1,12 +1,12 @@
 """How two trained networks find keypoints in frames: locate them in the working region, then look closely at each.
 
 Knows networks only as functions from pictures to positions (`Reader`), so torch and compiled engines share every line
-of it. The networks themselves are in `cascade.py`, compiled ones in `engine.py`, videos in `following.py`.
+of it. The networks themselves are in `cascade.py`, compiled ones in `compiled.py`, videos in `following.py`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -44,13 +44,6 @@ class Reader(Protocol):
 
 IntArray = NDArray[np.int_]
 BoolArray = NDArray[np.bool_]
-
-
-Cell = tuple[int, int]
-"""Which frame and which keypoint of a detection."""
-
-Look = Callable[[Sequence[Cell], IntArray], Detections]
-"""From M cells and their places (M, 3) to what is found there, (M, 1)."""
 
 
 @dataclass(frozen=True)
@@ -108,16 +101,48 @@ class Finder:
         self, frames: Frames, xy: FloatArray, region: WorkingRegion, partner: Sequence[int]
     ) -> Detections:
         """Look closely at each keypoint, near where it is thought to be, xy (N, K, 2) px."""
-
-        def look(cells: Sequence[Cell], at: IntArray) -> Detections:
-            patches = [cut_patch(frames[i], place, region) for (i, _), place in zip(cells, at, strict=True)]
-            return self.read(patches, [k for _, k in cells])
-
         found = foretold(xy)
-        settle(found, np.ones(xy.shape[:2], bool), look, region, partner)
+        self.settle(found, np.ones(xy.shape[:2], bool), frames, region, partner)
         return found
 
-    def read(self, patches: Sequence[Patch], keypoint: Sequence[int] | np.ndarray) -> Detections:
+    def settle(
+        self,
+        found: Detections,
+        wanted: BoolArray,
+        frames: Frames,
+        region: WorkingRegion,
+        partner: Sequence[int],
+    ) -> None:
+        """Look where keypoints may be, then around what was found there, until each is where it is looked for.
+
+        Who begins a little off ends at the same patch, and so at the same position. A keypoint between two places,
+        each of which points to the other, is at the mean of what is found in both.
+
+        Parameters
+        ----------
+        found : where they may be, (N, K); what is found is written into it
+        wanted : (N, K) bool, which are to be looked for; it is changed
+        """
+        values = (found.xy, found.likelihood, found.covariance)
+        at = places(found.xy, region, partner)
+        before = np.full_like(at, np.iinfo(at.dtype).min)
+        for _ in range(MOST_LOOKS):
+            if not wanted.any():
+                break
+            earlier = [value.copy() for value in values]
+            rows, keypoints = np.nonzero(wanted)
+            patches = [cut_patch(frames[i], at[i, k], region) for i, k in np.argwhere(wanted).tolist()]
+            seen = self.read(patches, keypoints)
+            for value, new in zip(values, (seen.xy, seen.likelihood, seen.covariance), strict=True):
+                value[rows, keypoints] = new[:, 0]
+            following = places(found.xy, region, partner)
+            between = wanted & (following == before).all(axis=2)
+            for value, old in zip(values, earlier, strict=True):
+                value[between] = (value[between] + old[between]) / 2
+            wanted &= (following != at).any(axis=2) & ~between
+            before, at = at, following
+
+    def read(self, patches: Sequence[Patch], keypoint: IntArray) -> Detections:
         """What the refiner finds in M patches, each asked for one keypoint: detections (M, 1), in frame px."""
         read = _read(self.refine, [patch.picture for patch in patches])
         own = np.arange(len(patches))
@@ -165,38 +190,6 @@ def cut_patch(frame: ImageArray, place: IntArray, region: WorkingRegion) -> Patc
     source, source_view = _around(frame, middle, region)
     view = patch_view(source_view.to_input(middle), region.magnification, turn)
     return Patch(view.cut(source), view.after(source_view))
-
-
-def settle(
-    found: Detections, wanted: BoolArray, look: Look, region: WorkingRegion, partner: Sequence[int]
-) -> None:
-    """Look where keypoints may be, then around what was found there, until each is where it is looked for.
-
-    Who begins a little off ends at the same patch, and so at the same position. A keypoint between two places, each of
-    which points to the other, is at the mean of what is found in both.
-
-    Parameters
-    ----------
-    found : where they may be, (N, K); what is found is written into it
-    wanted : (N, K) bool, which are to be looked for; it is changed
-    """
-    values = (found.xy, found.likelihood, found.covariance)
-    at = places(found.xy, region, partner)
-    before = np.full_like(at, np.iinfo(at.dtype).min)
-    for _ in range(MOST_LOOKS):
-        if not wanted.any():
-            break
-        earlier = [value.copy() for value in values]
-        cells = np.nonzero(wanted)
-        seen = look(list(zip(*(index.tolist() for index in cells), strict=True)), at[cells])
-        for value, new in zip(values, (seen.xy, seen.likelihood, seen.covariance), strict=True):
-            value[cells] = new[:, 0]
-        following = places(found.xy, region, partner)
-        between = wanted & (following == before).all(axis=2)
-        for value, old in zip(values, earlier, strict=True):
-            value[between] = (value[between] + old[between]) / 2
-        wanted &= (following != at).any(axis=2) & ~between
-        before, at = at, following
 
 
 def joined(parts: Sequence[Detections]) -> Detections:

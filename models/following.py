@@ -14,7 +14,7 @@ import numpy as np
 
 from ..tracker.types import Detections, FloatArray, Frames
 from .calibration import LEAST_PEAK
-from .finder import Cell, Finder, IntArray, cut_patch, foretold, joined, on_grid, settle
+from .finder import Finder, IntArray, cut_patch, foretold, joined, on_grid
 from .header import Header
 from .stillness import Sight
 
@@ -30,14 +30,11 @@ CHECK_EVERY = 60
 LOST_PATCH_PX = 16.0
 """A keypoint that the locator puts further off than this is searched, and what is seen better is believed."""
 
-
 RESTING_PATCH_PX = 0.5
 """A keypoint that moved by less from one frame to the next may be at rest."""
 
-
 ENOUGH = 4
 """Times that a keypoint at rest is read; afterwards it is taken to be at the mean."""
-
 
 SAME_PLACE = 0.75
 """Steps of the grid that a keypoint at rest may lie from where it is compared."""
@@ -107,11 +104,6 @@ class Follower:
     def _look(self, frames: Frames, found: Detections) -> Detections:
         """Find keypoints near where they are foretold; frames in which that fails are searched."""
         region, partner = self._region, self._header.partner
-
-        def look(cells: Sequence[Cell], at: IntArray) -> Detections:
-            patches = [cut_patch(frames[i], place, region) for (i, _), place in zip(cells, at, strict=True)]
-            return self._finder.read(patches, [k for _, k in cells])
-
         moved_px = np.linalg.norm(self._step, axis=1) * region.refiner_scale
         resting = np.flatnonzero(moved_px < RESTING_PATCH_PX).tolist()
         expected = on_grid(found.xy, region, partner)
@@ -132,7 +124,7 @@ class Follower:
                     found.xy[i, k], found.likelihood[i, k] = known.xy, known.likelihood
                     found.covariance[i, k] = known.covariance
                     wanted[i, k] = False
-        settle(found, wanted, look, region, partner)
+        self._finder.settle(found, wanted, frames, region, partner)
         for i, k, known in anew:
             known.add(found.xy[i, k], found.likelihood[i, k], found.covariance[i, k])
             self._known[k] = known

@@ -9,8 +9,6 @@ import socket
 from .errors import BendtrackError, reason
 from .live import LiveValue
 
-FORMATS = ("csv", "jsonl")
-
 # Decimals; those of an angle table are the same.
 _DECIMALS = {"time_s": 6, "angle_deg": 4, "angle_sd_deg": 4, "likelihood": 4, "latency_ms": 2}
 COLUMNS = (

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 class LineFormat(StrEnum):
-    """Forms of a value on stdout and in a datagram; those of `live_output`."""
+    """Forms of a value on stdout and in a datagram."""
 
     CSV = "csv"
     JSONL = "jsonl"
