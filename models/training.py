@@ -1,7 +1,7 @@
 """Training: labelled frames in, a checkpoint out. The loop, and what is saved so that a kill loses little.
 
-The two networks know nothing of each other while they learn, so they learn side by side, each on half of the cores.
-Every random draw depends on (seed, step) only, so a training that is resumed goes on as if it had not stopped.
+How the two networks take a step is in `pair.py`. Every random draw depends on (seed, step) only, so a training that is
+resumed goes on as if it had not stopped.
 """
 
 from __future__ import annotations
@@ -10,9 +10,8 @@ import hashlib
 import json
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -21,7 +20,6 @@ import torch
 from torch import Tensor
 
 from ..tracker.angle import AngleDefinition, bending_angle
-from ..tracker.atomic import atomic_write_text
 from ..tracker.errors import LabelError, TrainingError
 from ..tracker.types import Detections, FloatArray, LabelledFrame
 from .calibration import calibrate
@@ -34,11 +32,11 @@ from .finder import LOCATOR_MULTIPLE, joined
 from .held_out import split
 from .initialisation import load_backbone, resolve_init, starting_weights
 from .label_mean import label_offset, with_offset
-from .learner import Learner
+from .pair import Pair
 from .regions import LOCATOR_SIDE, partners, working_regions
 from .schedule import Schedule
 from .settings import TrainingSettings
-from .training_state import STATE_FILE, TrainingState, load_state, save_state
+from .training_state import STATE_FILE, TrainingState, load_state, save_state, write_rows
 
 EVALUATE_EVERY = 50
 """Steps between evaluations; each is also where the state is saved: a kill costs half a minute."""
@@ -152,11 +150,7 @@ class _Trainer:
             load_backbone(network.locator, weights, self.start)
             load_backbone(network.refiner, weights, self.start)
         network.to(self.device)
-        self.locator, self.refiner = (
-            Learner(part, average=settings.average, weight_decay=settings.weight_decay)
-            for part in (network.locator, network.refiner)
-        )
-        self.average = Cascade.of(self.locator.average, self.refiner.average)
+        self.pair = Pair(network, average=settings.average, weight_decay=settings.weight_decay)
         self.schedule = Schedule(settings.steps_for(len(self.trained)), settings.decay_share)
         self.step, self.elapsed_s = 0, 0.0
         self.rows: list[dict[str, float]] = []
@@ -185,11 +179,6 @@ class _Trainer:
         self.crop_wh = (min(widest[0], LOCATOR_SIDE), min(widest[1], LOCATOR_SIDE))
 
     @property
-    def learners(self) -> dict[str, Learner]:
-        """Both, by the names that their networks have in a cascade."""
-        return {"locator": self.locator, "refiner": self.refiner}
-
-    @property
     def state_file(self) -> Path:
         """Where a training that is not finished keeps its state."""
         return self.folder / STATE_FILE
@@ -208,12 +197,12 @@ class _Trainer:
         """Train until the schedule ends."""
         begun = time.monotonic() - self.elapsed_s
         limit_s = None if self.settings.max_minutes is None else self.settings.max_minutes * 60
-        with ThreadPoolExecutor(max_workers=2) as pool, _half_the_cores():
+        with ThreadPoolExecutor(max_workers=1) as pool, self.pair:
             batches = pool.submit(self._batches, self.step)
             while self.step < self.schedule.total:
                 locate, refine = batches.result()
                 batches = pool.submit(self._batches, self.step + 1)
-                loss = self._learn(locate, refine, pool)
+                loss = self.pair.learn(locate, refine, self.step, self._learning_rate)
                 self.step += 1
                 self.elapsed_s = time.monotonic() - begun
                 if limit_s is not None and self.step >= 10:
@@ -246,13 +235,9 @@ class _Trainer:
             drawn.append(refiner_batch(frames, chosen, self.partner, rng))
         return locate, drawn
 
-    def _learn(self, locate: Batch, refine: Sequence[Batch], pool: ThreadPoolExecutor) -> float:
-        """One step of both networks; returns the sum of their losses."""
-        rate = self.settings.learning_rate * self.schedule.factor(self.step)
-        located = pool.submit(self.locator.learn, locate, self.step, rate)
-        first = self.step * len(refine)
-        losses = [self.refiner.learn(batch, first + i, rate) for i, batch in enumerate(refine)]
-        return located.result() + sum(losses) / len(losses)
+    @property
+    def _learning_rate(self) -> float:
+        return self.settings.learning_rate * self.schedule.factor(self.step)
 
     def _detect(self, network: Cascade, indices: Sequence[int]) -> Detections:
         return joined(
@@ -262,7 +247,7 @@ class _Trainer:
     def _evaluate(self, loss: float) -> None:
         """Judge the averaged network on the held-out frames, and let the targets follow it."""
         if self.held:
-            found = self._detect(self.average, self.held).xy
+            found = self._detect(self.pair.average, self.held).xy
             self.last_px = _rms(np.linalg.norm(found - self.labels[self.held], axis=2))
             angles = [
                 bending_angle(xy, self.keypoints, self.definition)[0]
@@ -270,10 +255,10 @@ class _Trainer:
             ]
             self.last_deg = _rms(angles[0] - angles[1])
             if self.schedule.judge(self.step, self.last_px):
-                self.best = {n: v.clone() for n, v in self.average.state_dict().items()}
+                self.best = self.pair.state_of_average()
                 self.best_step = self.step
         if self.settings.consensus and self.step >= CONSENSUS_FROM * self.schedule.total:
-            found = self._detect(self.average, self.trained).xy
+            found = self._detect(self.pair.average, self.trained).xy
             self.targets[self.trained] = consensus(
                 self.labels[self.trained], found, self.settings.consensus, self.patch_scale[self.trained]
             )
@@ -284,7 +269,7 @@ class _Trainer:
                 "loss": round(loss, 5),
                 "held_out_px": round(self.last_px, 4),
                 "held_out_deg": round(self.last_deg, 4),
-                "learning_rate": self.settings.learning_rate * self.schedule.factor(self.step),
+                "learning_rate": self._learning_rate,
             }
         )
 
@@ -296,7 +281,7 @@ class _Trainer:
 
     def finish(self) -> Checkpoint:
         """The averaged network as a checkpoint: the last, unless an earlier one was clearly better."""
-        network = self.average
+        network = self.pair.average
         step, held_out_px = self.step, self.last_px
         # Held-out labels are few and carry their own error, so only a clear difference counts.
         if self.best is not None and self.last_px > 1.15 * self.schedule.best_px:
@@ -351,32 +336,20 @@ class _Trainer:
                 targets=self.targets,
                 start=self.start,
             ),
-            self.learners,
+            self.pair.learners,
         )
-        lines = [",".join(self.rows[0])] + [",".join(str(v) for v in row.values()) for row in self.rows]
-        atomic_write_text(self.folder / "training.csv", "\n".join(lines) + "\n")
+        write_rows(self.folder, self.rows)
 
     def restore(self) -> None:
         """Go back to where a killed training last saved its state."""
         if not self.state_file.is_file():
             raise TrainingError(f"--resume: expected an unfinished training in {self.folder}, got none")
-        state = load_state(self.state_file, self.learners, self.identity)
+        state = load_state(self.state_file, self.pair.learners, self.identity)
         self.step, self.elapsed_s, self.schedule = state.step, state.elapsed_s, state.schedule
         self.rows, self.best, self.best_step = state.rows, state.best, state.best_step
         self.targets, self.start = state.targets, state.start
         if self.rows:
             self.last_px, self.last_deg = self.rows[-1]["held_out_px"], self.rows[-1]["held_out_deg"]
-
-
-@contextmanager
-def _half_the_cores() -> Iterator[None]:
-    """Torch on half of the cores in every thread, for two networks side by side."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(max(1, before // 2))
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def _rms(values: FloatArray) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file
 from torch import Tensor
 
+from ..tracker.atomic import atomic_write_text
 from ..tracker.errors import TrainingError
 from .learner import Learner
 from .schedule import Schedule
@@ -117,6 +118,12 @@ def load_state(path: Path, learners: Mapping[str, Learner], identity: str) -> Tr
         start=header["start"],
         targets=tensors["targets"].numpy(),
     )
+
+
+def write_rows(folder: Path, rows: Sequence[Mapping[str, float]]) -> None:
+    """Write training.csv into a training's folder, whole or not at all."""
+    lines = [",".join(rows[0]), *(",".join(str(value) for value in row.values()) for row in rows)]
+    atomic_write_text(folder / "training.csv", "\n".join(lines) + "\n")
 
 
 def _under(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
