@@ -5,6 +5,7 @@ Torch is loaded only where it computes: on a GPU, or where there is no compiled 
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 from collections.abc import Mapping
@@ -25,6 +26,8 @@ DEVICES = ("auto", "cpu", "cuda")
 
 STRETCH_FRAMES = 48
 """Frames of 640 x 480 that are followed from one search, which takes as long as two or three of them."""
+
+LEAST_STRETCH_FRAMES = 8
 
 
 class NetworkDetector:
@@ -140,11 +143,15 @@ class NetworkDetector:
         """Stretches of a video at once: the network is small, so each takes one core."""
         return self._workers
 
-    def stretch_frames(self, size_wh: tuple[int, int]) -> int:
+    def stretch_frames(self, size_wh: tuple[int, int], frames: int | None) -> int:
         """Frames that are followed together, few enough that several stretches fit into memory."""
         if not self._follows:
             return self.batch_size
-        return max(8, min(STRETCH_FRAMES, STRETCH_FRAMES * 640 * 480 // (size_wh[0] * size_wh[1])))
+        most = min(STRETCH_FRAMES, STRETCH_FRAMES * 640 * 480 // (size_wh[0] * size_wh[1]))
+        # A short video has two stretches, so that a second core has something to do. What is found depends on where
+        # stretches begin, so their number must not depend on the cores.
+        own = most if frames is None else min(most, math.ceil(frames / 2))
+        return max(LEAST_STRETCH_FRAMES, own)
 
     def follow(self) -> NetworkDetector | FollowingDetector:
         """A detector for consecutive frames, fresh."""

@@ -122,6 +122,20 @@ def test_a_file_that_is_not_ours_is_not_overwritten(
     assert (out / "a.overlay.mp4").is_file()
 
 
+def test_a_figure_that_cannot_be_drawn_is_told_and_the_table_is_there(
+    bendtrack, trained_project: Project, videos: Path, tmp_path: Path
+) -> None:
+    """Figures are drawn beside the tracking of the next video: what goes wrong there must not be lost."""
+    out = tmp_path / "out"
+    for name in ("a.png", "a.angle.png"):
+        (out / name).mkdir(parents=True)
+    ran = bendtrack("track", trained_project.root, videos, "--out", out)
+    assert ran.status == 2
+    assert "a.angle.png: cannot be written" in ran.err
+    assert len(read_results(out / "a.csv")) == 12
+    assert len(read_results(out / "b.csv")) == 7
+
+
 def test_the_angle_is_the_one_the_network_was_trained_for(
     bendtrack, trained_project: Project, videos: Path
 ) -> None:
@@ -154,7 +168,7 @@ def test_a_kill_leaves_whole_files_and_the_next_run_finishes(
         assert process.poll() is None
         assert time.monotonic() < end
         time.sleep(0.01)
-    time.sleep(0.5)  # in the middle of c
+    time.sleep(0.2)  # in the middle of c
     process.send_signal(signal.SIGKILL)
     process.communicate()
     assert process.returncode == -signal.SIGKILL

@@ -63,9 +63,10 @@ def write_angle_figure(table: AngleTable, out_path: str | Path) -> None:
     if len(name) > _LONGEST_NAME:
         name = f"{name[: _LONGEST_NAME - 21]}…{name[-20:]}"
     # "$" would begin mathematics.
-    axes.set_title(name.replace("$", r"\$"), loc="left", fontsize=11)
+    # Titles at a height of their own: to find one, matplotlib lays all the axes out once more.
+    axes.set_title(name.replace("$", r"\$"), loc="left", fontsize=11, y=1.0)
     n_flagged = int(np.sum(table.flag != ""))
-    axes.set_title(f"{len(table)} frames, {n_flagged} flagged", loc="right", fontsize=9, color="0.35")
+    axes.set_title(f"{len(table)} frames, {n_flagged} flagged", loc="right", fontsize=9, color="0.35", y=1.0)
     _limit_angles(axes, table)
     axes.grid(axis="y", color="0.92", linewidth=0.8, zorder=0)
     axes.set_axisbelow(True)

@@ -79,7 +79,8 @@ def track(
     k = len(detector.keypoints)
     batch_size, workers, detect = detector.batch_size, 1, detector.detect
     if isinstance(detector, VideoDetector):
-        batch_size, workers = detector.stretch_frames(source.size_wh), detector.workers
+        batch_size = detector.stretch_frames(source.size_wh, source.claimed_frames)
+        workers = detector.workers
         detect = partial(_followed, detector)
     time_s: list[float] = []
     decoded: list[bool] = []

@@ -103,8 +103,8 @@ class VideoDetector(Detector, Protocol):
     def workers(self) -> int:
         """How many stretches of a video it can work on at the same time."""
 
-    def stretch_frames(self, size_wh: tuple[int, int]) -> int:
-        """Frames of a stretch, in frames of that size."""
+    def stretch_frames(self, size_wh: tuple[int, int], frames: int | None) -> int:
+        """Frames of a stretch, in a video of so many frames of that size; None: nobody says how many."""
 
     def follow(self) -> Detector:
         """A detector for consecutive frames, fresh: it may use what it found in the frames before."""

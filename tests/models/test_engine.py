@@ -117,6 +117,15 @@ def test_tracking_with_a_compiled_network_needs_no_torch(untrained: Path) -> Non
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
+def test_a_short_video_is_cut_for_two_cores_however_many_there_are(untrained: Path) -> None:
+    for threads in (1, 2):
+        detector = NetworkDetector.load(untrained, engine="openvino", device="cpu", threads=threads)
+        assert detector.workers == threads
+        lengths = {None: 48, 6000: 48, 60: 30, 31: 16, 5: 8, 0: 8}
+        assert {n: detector.stretch_frames((640, 480), n) for n in lengths} == lengths
+        assert detector.stretch_frames((1920, 1080), 6000) == 8
+
+
 def test_building_leaves_the_checkpoint_as_it_was(untrained: Path) -> None:
     before = load_checkpoint(untrained)
     picture = frames(1, seed=3)[0][None]

@@ -157,7 +157,7 @@ def test_the_detector_is_told_of_frames_that_it_is_spared(film):
     class Follows(film.DiscDetector):
         workers = 1
 
-        def stretch_frames(self, size_wh: tuple[int, int]) -> int:
+        def stretch_frames(self, size_wh: tuple[int, int], frames: int | None) -> int:
             return self.batch_size
 
         def follow(self) -> OfOneVideo:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import glob
 import secrets
 import time
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -103,12 +104,26 @@ def listed_videos(names: list[str]) -> list[Path]:
 
 @dataclass
 class _Job:
-    """Tracking with one network into one folder."""
+    """Tracking with one network into one folder.
+
+    Attributes
+    ----------
+    drawing : draws a video's figure while the next one is tracked: of a short clip it takes as long as the frames
+    drawn : what it was last asked for
+    """
 
     detector: Detector
     definition: AngleDefinition
     folder: Path
+    drawing: Executor
     options: dict[str, Any] = field(default_factory=dict)
+    drawn: Future[None] | None = None
+
+    def wait_for_figure(self) -> None:
+        """See the figure asked for last finished, or raise what prevented it."""
+        if self.drawn is not None:
+            self.drawn.result()
+            self.drawn = None
 
 
 def track_videos(
@@ -126,20 +141,22 @@ def track_videos(
     -------
     The videos that failed or are damaged, and why. A damaged one is tracked as far as it goes.
     """
-    job = _Job(detector, measured_angle(project, detector), folder)
-    if project.settings.tracking.min_likelihood is not None:
-        job.options["min_likelihood"] = project.settings.tracking.min_likelihood
     talk.say(f"Network: {detector.name} ({detector.header.backbone}, {detector.engine} on {detector.device})")
     problems: dict[Path, str] = {}
-    for video in videos:
-        try:
-            damage = _track_one(job, video, overlay, force)
-        except VideoError as error:
-            talk.say(f"{video}: failed")
-            problems[video] = str(error).removeprefix(f"{video}: ")
-        else:
-            if damage:
-                problems[video] = damage
+    with ThreadPoolExecutor(max_workers=1) as drawing:
+        job = _Job(detector, measured_angle(project, detector), folder, drawing)
+        if project.settings.tracking.min_likelihood is not None:
+            job.options["min_likelihood"] = project.settings.tracking.min_likelihood
+        for video in videos:
+            try:
+                damage = _track_one(job, video, overlay, force)
+            except VideoError as error:
+                talk.say(f"{video}: failed")
+                problems[video] = str(error).removeprefix(f"{video}: ")
+            else:
+                if damage:
+                    problems[video] = damage
+        job.wait_for_figure()
     return problems
 
 
@@ -147,7 +164,6 @@ def _track_one(job: _Job, video: Path, overlay: bool, force: bool) -> str | None
     """Bring one video's files up to date; what is wrong with the video, when its frames are not all there."""
     from ..atomic import remove_leftovers
     from ..bookkeeping import choose_stem, is_recorded, is_up_to_date, record_file
-    from ..figures import write_angle_figure
     from ..overlay import write_overlay
     from ..results import read_results, write_results
     from ..tracking import track, tracking_settings
@@ -188,15 +204,24 @@ def _track_one(job: _Job, video: Path, overlay: bool, force: bool) -> str | None
     warnings, complete = table.provenance["warnings"], table.provenance["video"]["complete"]
     for warning in warnings if complete else ():
         talk.warn(f"{video}: {warning}")
+    job.wait_for_figure()
     if not is_recorded(job.folder, stem, figure_path):
-        write_angle_figure(table, figure_path)
-        record_file(job.folder, stem, figure_path)
+        job.drawn = job.drawing.submit(_draw, table, job.folder, stem, figure_path)
     if overlay and not is_recorded(job.folder, stem, overlay_path):
         with progress_bars.counting(f"{video.name}: overlay") as progress:
             write_overlay(video, table, overlay_path, progress)
+        job.wait_for_figure()  # both are entered into the same JSON
         record_file(job.folder, stem, overlay_path)
         talk.say(f"{video}: overlay -> {overlay_path}")
     return None if complete else f"damaged, tracked as far as it goes: {'; '.join(warnings)}"
+
+
+def _draw(table: AngleTable, folder: Path, stem: str, figure_path: Path) -> None:
+    from ..bookkeeping import record_file
+    from ..figures import write_angle_figure
+
+    write_angle_figure(table, figure_path)
+    record_file(folder, stem, figure_path)
 
 
 def _beside(folder: Path, stem: str, suffix: str, word: str, video: Path) -> Path:
