@@ -4,6 +4,8 @@
     python benchmarks/speed.py --size 1280x720 --size 1920x1080 --backbone resnet50    further cases: one for each
     python benchmarks/speed.py --dlc DLC/bin/python               DeepLabCut's analyze_videos on the same file
     python benchmarks/speed.py --long-minutes 60                  memory over an hour of video
+    python benchmarks/speed.py --study                            194,000 frames of 54 trials, as the paper's study has
+    python benchmarks/speed.py --clips 1000                       short clips: one second each
     python benchmarks/speed.py --seconds 1.5 --rounds 1 --steps 2     a run to see that it runs
 
 Every case is rendered, labelled with 1 px of noise, trained on as `bendtrack train` does, and tracked by the default
@@ -19,6 +21,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -43,8 +46,13 @@ from bendtrack.tracker.results import write_results
 from bendtrack.tracker.tracking import track
 from bendtrack.tracker.types import FloatArray
 from bendtrack.tracker.video import Video
+from bendtrack.tracker.video_writer import VideoWriter
 
 BENDTRACK = Path(sys.executable).parent / "bendtrack"
+
+STUDY_TRIALS, STUDY_FRAMES = 54, 194_000
+CLIP_FRAMES = 30
+DIFFERENT_CLIPS = 20
 
 
 @dataclass(frozen=True)
@@ -185,6 +193,22 @@ def copies(video: Path, out: Path, count: int) -> None:
                     target.mux(packet)
 
 
+def clips(video: Path, folder: Path, count: int) -> None:
+    """So many files of one second each, cut from the video at places spread over it."""
+    folder.mkdir()
+    with Video(video) as source:
+        images = [frame.image for frame in source if frame.image is not None]
+    starts = np.linspace(0, len(images) - CLIP_FRAMES, min(DIFFERENT_CLIPS, count)).astype(int)
+    for i in range(count):
+        path = folder / f"clip_{i:04d}.mp4"
+        if i >= len(starts):
+            shutil.copyfile(folder / f"clip_{i % len(starts):04d}.mp4", path)
+            continue
+        with VideoWriter(path, (images[0].shape[1], images[0].shape[0]), frame_rate=30) as writer:
+            for image in images[starts[i] : starts[i] + CLIP_FRAMES]:
+                writer.write(image)
+
+
 def deeplabcut_speed(case: Case, folder: Path, python: Path, frames: int) -> float:
     """Frames/s of DeepLabCut's analyze_videos."""
     export_dlc(Project.open(case.project), folder / "dlc", videos=[case.video])
@@ -234,20 +258,41 @@ def report(folder: Path, size_wh: tuple[int, int], backbone: str, args: argparse
         theirs = deeplabcut_speed(case, folder, args.dlc, args.dlc_frames)
         print(f"  DeepLabCut's analyze_videos        {theirs:.2f} frames/s over {args.dlc_frames} frames")
         print(f"  ratio to DeepLabCut                {spread(whole / theirs, 0)}")
+    own = len(case.made.trial.time_s)
     if args.long_minutes:
         count = max(1, round(args.long_minutes * 60 / float(case.made.trial.time_s[-1])))
         copies(case.video, folder / "long.mp4", count)
-        seconds_long, peak, over_time = run_measured(
+        taken_s, peak, over_time = run_measured(
             ["track", case.project, folder / "long.mp4", "--out", folder / "long"]
         )
-        frames = count * len(case.made.trial.time_s)
         tenth = len(over_time) // 10
         print(
-            f"  {args.long_minutes:g} minutes of video: {frames} frames in {seconds_long:.0f} s"
-            f" ({frames / seconds_long:.0f} frames/s), peak {peak:.0f} MiB; memory after a tenth"
-            f" {over_time[tenth]:.0f}, half {over_time[len(over_time) // 2]:.0f}, nine tenths"
-            f" {over_time[-1 - tenth]:.0f} MiB"
+            f"  {args.long_minutes:g} minutes of video: {_rate(count * own, taken_s)}, peak {peak:.0f} MiB;"
+            f" memory after a tenth {over_time[tenth]:.0f}, half {over_time[len(over_time) // 2]:.0f},"
+            f" nine tenths {over_time[-1 - tenth]:.0f} MiB"
         )
+    if args.study:
+        count = round(STUDY_FRAMES / STUDY_TRIALS / own) or 1
+        (folder / "trials").mkdir()
+        for i in range(STUDY_TRIALS):
+            copies(case.video, folder / "trials" / f"trial_{i:02d}.mp4", count)
+        taken_s, peak, _ = run_measured(["track", case.project, folder / "trials", "--out", folder / "study"])
+        print(f"  {STUDY_TRIALS} trials: {_rate(STUDY_TRIALS * count * own, taken_s)}, peak {peak:.0f} MiB")
+    if args.clips:
+        clips(case.video, folder / "clips", args.clips)
+        taken_s, peak, _ = run_measured(
+            ["track", case.project, folder / "clips", "--out", folder / "of-clips"]
+        )
+        frames = args.clips * CLIP_FRAMES
+        on_frames = frames / float(np.median(whole)) / taken_s
+        print(
+            f"  {args.clips} clips of a second: {_rate(frames, taken_s)}, peak {peak:.0f} MiB; at the speed above"
+            f" their frames take {100 * on_frames:.0f} % of that"
+        )
+
+
+def _rate(frames: int, taken_s: float) -> str:
+    return f"{frames} frames in {taken_s:.0f} s ({frames / taken_s:.0f} frames/s)"
 
 
 def size(text: str) -> tuple[int, int]:
@@ -270,6 +315,10 @@ def main() -> None:
     parser.add_argument("--dlc", type=Path, metavar="PYTHON", help="of DeepLabCut's environment")
     parser.add_argument("--dlc-frames", type=int, default=100)
     parser.add_argument("--long-minutes", type=float, default=0.0, help="also track a video so long")
+    parser.add_argument(
+        "--study", action="store_true", help="also track as many trials as the paper's study has"
+    )
+    parser.add_argument("--clips", type=int, default=0, help="also track so many clips of one second")
     args = parser.parse_args()
     for size_wh in args.size or [(640, 480)]:
         for backbone in args.backbone or ["resnet18"]:
