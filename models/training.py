@@ -30,6 +30,7 @@ from .dataset import Batch, locator_batch, prepare, read_image, refiner_batch
 from .evaluation import frame_id
 from .finder import LOCATOR_MULTIPLE, joined
 from .held_out import split
+from .inheritance import inherit, parent_of
 from .initialisation import load_backbone, resolve_init, starting_weights
 from .label_mean import label_offset, with_offset
 from .pair import Pair
@@ -144,11 +145,8 @@ class _Trainer:
         self.settings = settings
         torch.manual_seed(settings.seed)
         network = Cascade(settings.backbone, len(keypoints))
-        # A training that is resumed has its weights already; those that it started from may be gone.
-        weights = None if resume else starting_weights(self.start, settings.backbone)
-        if weights is not None:
-            load_backbone(network.locator, weights, self.start)
-            load_backbone(network.refiner, weights, self.start)
+        if not resume:  # a training that is resumed has its weights; those that it started from may be gone
+            self._start_from(network)
         network.to(self.device)
         self.pair = Pair(network, average=settings.average, weight_decay=settings.weight_decay)
         self.schedule = Schedule(settings.steps_for(len(self.trained)), settings.decay_share)
@@ -158,6 +156,16 @@ class _Trainer:
         self.best_step = 0
         self.last_px = self.last_deg = float("nan")
         self._load_pictures()
+
+    def _start_from(self, network: Cascade) -> None:
+        parent = parent_of(self.start, self.settings.backbone)
+        if parent is not None:
+            inherit(network, self.keypoints, parent)
+            return
+        weights = starting_weights(self.start, self.settings.backbone)
+        if weights is not None:
+            load_backbone(network.locator, weights, self.start)
+            load_backbone(network.refiner, weights, self.start)
 
     def _load_pictures(self) -> None:
         pictures = [read_image(frame) for frame in self.frames]
