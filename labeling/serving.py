@@ -62,7 +62,7 @@ def serve_labelling(
         annotations, editor, repeat_share=repeat_share, stopping=lambda: running.should_exit
     )
     if network is not None:
-        server.predictions = Predictions(
+        server.facts.predictions = Predictions(
             network, private.path, lambda: _all_pictures(annotations), server.predicted
         )
     door = Door(server.app(), port, secret)
