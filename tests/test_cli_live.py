@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bendtrack.tracker.live_output import COLUMNS, HEADER
+from bendtrack.tracker.live.output import COLUMNS, HEADER
 from bendtrack.tracker.project import Project
 from bendtrack.tracker.results import read_results
 

@@ -1,6 +1,6 @@
 """From what was found in frames to the rows of an angle table: the angle, its standard deviation, the flag.
 
-One meaning for videos (`tracking.py`) and live pictures (`live.py`). The angle itself is in `angle.py`.
+One meaning for videos (`tracking.py`) and live pictures (`live/newest_first.py`). The angle itself is in `angle.py`.
 """
 
 from __future__ import annotations

@@ -26,9 +26,9 @@ from .video_commands import size_wh
 if TYPE_CHECKING:
     from ...models.detector import NetworkDetector
     from ..angle import AngleDefinition
-    from ..cameras import CameraMode
-    from ..live import LiveSource, LiveValue
-    from ..live_output import UdpTarget
+    from ..live.cameras import CameraMode
+    from ..live.newest_first import LiveSource, LiveValue
+    from ..live.output import UdpTarget
     from ..project import Project
 
 
@@ -76,9 +76,9 @@ def live(
     measured, older ones are passed over, so it never falls behind. A file is played in real time. Ends with Ctrl-C.
     """
     talk.leave_stdout_to_programs()
-    from ..live import measure_live
-    from ..live_output import UdpTarget
-    from ..live_sources import open_source
+    from ..live.newest_first import measure_live
+    from ..live.output import UdpTarget
+    from ..live.sources import open_source
     from ..project import Project
 
     opened = Project.open(project)
@@ -119,7 +119,7 @@ def _told(
     values: Iterator[LiveValue], format: LineFormat, target: UdpTarget | None
 ) -> Generator[LiveValue, None, None]:
     """The values, each told to whoever wants it, until there are no more or nobody reads stdout any longer."""
-    from ..live_output import HEADER, line_of
+    from ..live.output import HEADER, line_of
 
     try:
         if format == LineFormat.CSV:
@@ -177,7 +177,7 @@ class _Kept:
         definition: AngleDefinition,
         options: dict[str, Any],
     ) -> None:
-        from ..live_recording import Recording
+        from ..live.recording import Recording
         from ..tracking import tracking_settings
 
         self.recording = Recording(network.keypoints, definition)
@@ -231,7 +231,7 @@ def _stopped_by_signals() -> Iterator[threading.Event]:
 
 
 def _camera_mode(size: str | None, rate: float | None, format: str | None) -> CameraMode | None:
-    from ..cameras import CameraMode
+    from ..live.cameras import CameraMode
 
     if size is None and rate is None and format is None:
         return None

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import av
 
-from .errors import VideoError
+from ..errors import VideoError
 
 # FFmpeg's input for the cameras of a system, and what it calls their pixel format or codec.
 _INPUTS = {

@@ -1,7 +1,7 @@
 """Live: the newest frame of a source becomes a bending angle; frames that were older by then are passed over.
 
-Knows no network (any `types.Detector`) and no camera: where frames come from is in `live_sources.py`, how values are
-sent in `live_output.py`.
+Knows no network (any `types.Detector`) and no camera: where frames come from is in `sources.py`, how values are
+sent in `output.py`.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from typing import Protocol
 
 import numpy as np
 
-from .angle import AngleDefinition
-from .errors import VideoError
-from .measuring import MIN_LIKELIHOOD, check_points, measure
-from .types import Detections, Detector, Flag, SparingDetector, VideoDetector
-from .video import Frame
+from ..angle import AngleDefinition
+from ..errors import VideoError
+from ..measuring import MIN_LIKELIHOOD, check_points, measure
+from ..types import Detections, Detector, Flag, SparingDetector, VideoDetector
+from ..video import Frame
 
 _POLL_S = 0.1  # how late a wish to stop may be noticed while no frame comes
 _JOIN_S = 1.0  # a camera that hangs is left alone after this

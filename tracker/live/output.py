@@ -6,8 +6,8 @@ import json
 import math
 import socket
 
-from .errors import BendtrackError, reason
-from .live import LiveValue
+from ..errors import BendtrackError, reason
+from .newest_first import LiveValue
 
 # Decimals; those of an angle table are the same.
 _DECIMALS = {"time_s": 6, "angle_deg": 4, "angle_sd_deg": 4, "likelihood": 4, "latency_ms": 2}

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from .angle import AngleDefinition
-from .live import LiveValue
-from .results import AngleTable, json_ready
-from .types import Flag
+from ..angle import AngleDefinition
+from ..results import AngleTable, json_ready
+from ..types import Flag
+from .newest_first import LiveValue
 
 
 class Recording:

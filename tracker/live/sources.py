@@ -13,11 +13,11 @@ import av
 from av.codec.context import Flags as CodecFlags
 from av.format import Flags as FormatFlags
 
+from ..container import Orientation, orientation
+from ..errors import VideoError, reason
+from ..video import Frame, Video
 from .cameras import Camera, CameraMode, cameras, find_camera, is_camera_device, opening
-from .container import Orientation, orientation
-from .errors import VideoError, reason
-from .live import Arrival, LiveSource
-from .video import Frame, Video
+from .newest_first import Arrival, LiveSource
 
 _OPEN_S = 10.0
 _SILENCE_S = 5.0

@@ -18,10 +18,10 @@ import pytest
 from bendtrack.tracker.angle import AngleDefinition
 from bendtrack.tracker.container import Orientation
 from bendtrack.tracker.errors import AngleError, BendtrackError, VideoError
-from bendtrack.tracker.live import Arrival, LiveValue, measure_live
-from bendtrack.tracker.live_output import COLUMNS, HEADER, UdpTarget, line_of
-from bendtrack.tracker.live_recording import Recording
-from bendtrack.tracker.live_sources import PlayedFile
+from bendtrack.tracker.live.newest_first import Arrival, LiveValue, measure_live
+from bendtrack.tracker.live.output import COLUMNS, HEADER, UdpTarget, line_of
+from bendtrack.tracker.live.recording import Recording
+from bendtrack.tracker.live.sources import PlayedFile
 from bendtrack.tracker.results import read_results, write_results
 from bendtrack.tracker.tracking import track
 from bendtrack.tracker.types import Detections, Flag

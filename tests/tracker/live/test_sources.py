@@ -15,10 +15,10 @@ import PIL.Image
 import pytest
 
 from bendtrack.tracker.angle import AngleDefinition
-from bendtrack.tracker.cameras import Camera, CameraMode, cameras, find_camera, opening
 from bendtrack.tracker.errors import VideoError
-from bendtrack.tracker.live import measure_live
-from bendtrack.tracker.live_sources import PlayedFile, Stream, open_source
+from bendtrack.tracker.live.cameras import Camera, CameraMode, cameras, find_camera, opening
+from bendtrack.tracker.live.newest_first import measure_live
+from bendtrack.tracker.live.sources import PlayedFile, Stream, open_source
 from bendtrack.tracker.video import Video
 
 ANGLE = AngleDefinition("two-vector", ("base_1", "base_2", "tip_1", "tip_2"))
