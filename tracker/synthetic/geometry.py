@@ -28,39 +28,43 @@ def _turn_shares(peak: float, tilt: float) -> FloatArray:
     return np.maximum(weight, 0.05) / np.maximum(weight, 0.05).sum()
 
 
-class Midline:
-    """The strain-limiting line at one bending angle, in image px.
+class ArcChain:
+    """A line of pieces, each straight or a circular arc, in image px.
 
     Parameters
     ----------
-    body, pose : shape and place
-    angle_deg : turn from the base's direction to the tip's, positive toward `pose.side`
+    s : (P,) where the pieces begin; the last has no end
+    curvature : (P,) 1/px, positive toward the inner side
+    turned_rad : (P,) turn from the first piece's direction to where each piece begins, toward the inner side
+    base_xy, direction_rad : where the first piece begins and its direction, from +x toward +y
+    side : +1 turns clockwise on the screen, -1 counterclockwise
 
     Attributes
     ----------
-    s : (P,) where the pieces begin; piece 0 is the straight base, the last the straight tip
+    heading : (P,) direction where each piece begins, radians, not wrapped
     origin, along, inward : (P, 2) where each piece begins, its direction there, and the inner normal there
-    curvature : (P,) 1/px, positive toward the inner side
     """
 
-    def __init__(self, body: Body, pose: Pose, angle_deg: float) -> None:
-        start, end = body.bend_s
-        step = (end - start) / SEGMENTS
-        turn = math.radians(angle_deg) * _turn_shares(body.curvature_peak, body.curvature_tilt)
-        self.side = pose.side
-        self.s = np.concatenate([[0.0], start + step * np.arange(SEGMENTS + 1)])
-        self.curvature = np.concatenate([[0.0], turn / step, [0.0]])
-        before = np.concatenate([[0.0, 0.0], np.cumsum(turn)])
-        # The last cumulative sum carries rounding; the tip's direction is the angle itself.
-        before[-1] = math.radians(angle_deg)
-        heading = math.radians(pose.direction_deg) + pose.side * before
+    def __init__(
+        self,
+        s: FloatArray,
+        curvature: FloatArray,
+        turned_rad: FloatArray,
+        base_xy: tuple[float, float],
+        direction_rad: float,
+        side: int,
+    ) -> None:
+        self.side = side
+        self.s = s
+        self.curvature = curvature
+        heading = direction_rad + side * turned_rad
         self.heading = heading
         self.along = np.stack([np.cos(heading), np.sin(heading)], axis=1)
-        self.inward = pose.side * np.stack([-self.along[:, 1], self.along[:, 0]], axis=1)
+        self.inward = side * np.stack([-self.along[:, 1], self.along[:, 0]], axis=1)
         lengths = np.diff(self.s)
         chord = self._local(np.arange(len(lengths)), lengths)
         steps = chord[:, :1] * self.along[:-1] + chord[:, 1:] * self.inward[:-1]
-        self.origin = np.asarray(pose.base_xy) + np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+        self.origin = np.asarray(base_xy) + np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
 
     def _local(self, piece: NDArray[np.intp], length: FloatArray) -> FloatArray:
         """Along and inward offset after `length` on each piece, (N, 2). sinc keeps straight pieces exact."""
@@ -119,6 +123,32 @@ class Midline:
         q = k * (along * along + inward * inward) - 2 * inward
         t = q / (1 + np.sqrt(np.maximum(1 + k * q, 0)))
         return s, t
+
+
+class Midline(ArcChain):
+    """The strain-limiting line at one bending angle, in image px: a straight base, `SEGMENTS` arcs, a straight tip.
+
+    Parameters
+    ----------
+    body, pose : shape and place
+    angle_deg : turn from the base's direction to the tip's, positive toward `pose.side`
+    """
+
+    def __init__(self, body: Body, pose: Pose, angle_deg: float) -> None:
+        start, end = body.bend_s
+        step = (end - start) / SEGMENTS
+        turn = math.radians(angle_deg) * _turn_shares(body.curvature_peak, body.curvature_tilt)
+        before = np.concatenate([[0.0, 0.0], np.cumsum(turn)])
+        # The last cumulative sum carries rounding; the tip's direction is the angle itself.
+        before[-1] = math.radians(angle_deg)
+        super().__init__(
+            np.concatenate([[0.0], start + step * np.arange(SEGMENTS + 1)]),
+            np.concatenate([[0.0], turn / step, [0.0]]),
+            before,
+            pose.base_xy,
+            math.radians(pose.direction_deg),
+            pose.side,
+        )
 
 
 def body_to_image(body: Body, pose: Pose, angle_deg: float) -> FloatArray:

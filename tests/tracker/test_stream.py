@@ -1,0 +1,304 @@
+"""The stream's truth agrees with its pictures, measured by means that know nothing of the renderer."""
+
+import dataclasses as dc
+
+import cv2
+import numpy as np
+import pytest
+
+from bendtrack.tracker.angle import AngleDefinition, bending_angle
+from bendtrack.tracker.synthetic.stream import (
+    HELD_OUT,
+    KEYPOINTS,
+    TRAINING,
+    Stage,
+    before_other_background,
+    draw,
+    drawn_look,
+    in_other_light,
+    inflation_deg,
+)
+
+EVEN = dc.replace(
+    TRAINING, shapes=("fibre tube", "flat strip", "PneuFlex"), materials=("white",), clamps=("clip",)
+)
+FAMILIES = ("material", "background", "shape", "clamp")
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    """The beginning of a stream."""
+    return [draw(11, index) for index in range(90)]
+
+
+def frontal(look, lens=0.0):
+    return dc.replace(
+        look, view=dc.replace(look.view, tilt_x_deg=0.0, tilt_y_deg=0.0, nearness=0.0, lens=lens)
+    )
+
+
+def stark(look):
+    """The same body black under even light on white, everything else white too, sharp and without noise."""
+    black, white = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
+    words = dc.replace(look.words, background="studio")
+    body = dc.replace(look.body, swell=0.0, windings=0, layer=0.0, cap="none")
+    surface = dc.replace(look.surface, colour=black, opacity=1.0, gloss=0.0, cavity=0.0)
+    place = dc.replace(look.place, second_arm=None)
+    scene = dc.replace(
+        look.scene, colour=white, texture=0.0, things=0, occluders=0, tube_px=0.0, clamp_colour=white
+    )
+    light = dc.replace(
+        look.light, ambient=1.0, tint=white, gradient=0.0, vignette=0.0, shadow=0.0, gain=1.0, gamma=1.0
+    )
+    return dc.replace(
+        look,
+        words=words,
+        body=body,
+        surface=surface,
+        place=place,
+        scene=scene,
+        light=light,
+        sensor=clear(look),
+    )
+
+
+def clear(look):
+    """A camera that does nothing."""
+    blur = {"blur_px": 0.0, "motion_px": 0.0, "sharpening": 0.0}
+    return dc.replace(look.sensor, kind="colour", noise=0.0, jpeg_quality=0, shrink=1.0, **blur)
+
+
+def darkness(sample):
+    return 1 - sample.picture.astype(np.float32).mean(axis=2) / sample.picture.max()
+
+
+def along_line(image, centre, direction, reach):
+    """Values at steps of a tenth of a px from -reach to reach."""
+    steps = np.arange(-reach, reach + 0.05, 0.1)
+    points = (np.asarray(centre) + steps[:, None] * direction).astype(np.float32)
+    return steps, cv2.remap(image, points[None, :, 0], points[None, :, 1], cv2.INTER_LINEAR)[0]
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("bend", [-50.0, 20.0, 150.0])
+def test_midline_is_the_middle_of_what_is_drawn(seed, bend):
+    look = stark(drawn_look(seed, families=EVEN, bend_deg=(-50, 150), size_wh=(400, 300)))
+    sample = Stage(look).frame(bend)
+    image = darkness(sample)
+    reach = 2.2 * look.body.half_px
+    for index in range(12, 80, 6):
+        step = sample.midline_xy[index + 1] - sample.midline_xy[index - 1]
+        normal = np.array([-step[1], step[0]]) / np.hypot(*step)
+        steps, values = along_line(image, sample.midline_xy[index], normal, reach)
+        assert values.max() > 0.6
+        # Another part of a curled body may come within reach: what is joined to the middle counts.
+        dark = values > 0.5
+        middle = len(dark) // 2
+        assert dark[middle]
+        low = middle - np.argmin(dark[middle::-1])
+        high = middle + np.argmin(dark[middle:])
+        if dark[0] or dark[-1]:
+            continue
+        assert abs(steps[low] + steps[high]) / 2 < 0.7
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("bend", [-50.0, 20.0, 110.0])
+def test_body_begins_at_base_1_and_ends_at_tip_2(seed, bend):
+    look = stark(drawn_look(seed, families=EVEN, bend_deg=(-50, 110), size_wh=(400, 300)))
+    sample = Stage(look).frame(bend)
+    image, points = darkness(sample), sample.keypoints_xy
+    for end, inside in ((8, 7), (0, 1)):
+        outward = points[end] - points[inside]
+        steps, values = along_line(image, points[end], outward / np.hypot(*outward), 3.0)
+        edge = steps[np.argmax(values < 0.5)]
+        assert abs(edge) < 0.8, (end, edge)
+
+
+def test_angle_is_that_of_the_two_vectors(drawn):
+    definition = AngleDefinition("two-vector", KEYPOINTS)
+    for sample in drawn + [draw(11, index, families=HELD_OUT) for index in range(20)]:
+        angle = bending_angle(sample.keypoints_xy[None], KEYPOINTS, definition)[0]
+        assert abs(sample.angle_deg - angle[0]) < 1e-6
+    angles = [sample.angle_deg for sample in drawn]
+    assert min(angles) < -180
+    assert max(angles) > 180
+
+
+@pytest.mark.parametrize("bend", [-60.0, 0.0, 33.0, 181.0, 270.0])
+def test_seen_from_the_front_the_angle_is_the_bend(bend):
+    look = frontal(drawn_look(3, bend_deg=(-60, 270), size_wh=(200, 160)))
+    sample = Stage(look).frame(bend)
+    assert abs(sample.angle_deg - look.place.side * bend) < 1e-6
+    first, last = (
+        np.diff(sample.keypoints_xy[[0, 1]], axis=0)[0],
+        np.diff(sample.keypoints_xy[[7, 8]], axis=0)[0],
+    )
+    heading = np.degrees(np.arctan2(first[1], first[0]))
+    assert abs((heading - look.place.direction_deg + 180) % 360 - 180) < 1e-6
+    turn = np.degrees(np.arctan2(last[1], last[0])) - heading - look.place.side * bend
+    assert abs((turn + 180) % 360 - 180) < 1e-6
+
+
+def test_keypoints_lie_on_the_midline_in_order(drawn):
+    for sample in drawn:
+        distance = np.hypot(*(sample.midline_xy[:, None] - sample.keypoints_xy[None]).transpose(2, 0, 1))
+        nearest = distance.argmin(axis=0)
+        assert (np.diff(nearest) > 0).all()
+        assert distance.min(axis=0).max() < 0.02 * np.hypot(*np.diff(sample.midline_xy, axis=0).T).sum()
+        np.testing.assert_allclose(sample.keypoints_xy[[0, 8]], sample.midline_xy[[0, -1]], atol=1e-9)
+
+
+@pytest.mark.parametrize("lens", [-0.3, 0.0, 0.25])
+def test_the_lens_and_the_tilt_have_an_inverse(lens):
+    from bendtrack.tracker.synthetic.stream.chain import Projection
+    from bendtrack.tracker.synthetic.stream.look import View
+
+    projection = Projection(View(15.0, -11.0, 0.7, lens), (256, 192))
+    plane = np.random.default_rng(0).uniform((20, 20), (230, 170), (50, 2))
+    seen = projection.picture(plane)
+    assert np.abs(seen - plane).max() > 1
+    back = np.stack(projection.plane(*seen.T), axis=1)
+    np.testing.assert_allclose(back, plane, atol=1e-8)
+
+
+def test_a_sample_depends_on_seed_and_index_alone():
+    first = draw(5, 3)
+    draw(5, 4)
+    again = draw(5, 3)
+    assert first.look == again.look
+    np.testing.assert_array_equal(first.picture, again.picture)
+    np.testing.assert_array_equal(first.midline_xy, again.midline_xy)
+    others = [draw(5, 4), draw(6, 3)]
+    assert all(np.abs(first.keypoints_xy - other.keypoints_xy).max() > 3 for other in others)
+    assert first.picture.dtype == np.uint8
+    assert first.picture.shape == (256, 256, 3)
+
+
+def test_families_never_mix():
+    used = {}
+    for families in (TRAINING, HELD_OUT):
+        looks = [drawn_look(1, index, families=families, bend_deg=(30, 30)) for index in range(250)]
+        looks += [before_other_background(look, 1) for look in looks[:50]]
+        for name in FAMILIES:
+            seen = {getattr(look.words, name) for look in looks}
+            assert seen == set(getattr(families, f"{name}s"))
+            used.setdefault(name, []).append(seen)
+    for name in FAMILIES:
+        assert not used[name][0] & used[name][1]
+    # A word that is held out, and one that is not, draw what they say.
+    assert draw(1, 0, families=HELD_OUT).look.families == HELD_OUT
+
+
+def test_what_an_occluder_covers_is_not_visible():
+    hidden = 0
+    for index in range(20):
+        look = drawn_look(8, index, bend_deg=(40, 40), size_wh=(256, 256))
+        look = dc.replace(look, place=dc.replace(look.place, second_arm=None))
+        look = dc.replace(look, sensor=clear(look))
+        free, covered = (
+            Stage(dc.replace(look, scene=dc.replace(look.scene, occluders=count))).frame(40)
+            for count in (0, 1)
+        )
+        if not free.visible.all():
+            continue
+        change = np.abs(free.picture.astype(int) - covered.picture).max(axis=2)
+        for point, visible in zip(covered.keypoints_xy, covered.visible, strict=True):
+            x, y = np.round(point).astype(int)
+            around = change[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2]
+            if not visible:
+                assert around.max() > 0
+                hidden += 1
+            elif around.min() > 40:
+                # A thrown shadow darkens, but leaves the body to be seen; nothing bright appears.
+                before, after = free.picture[y, x].astype(int), covered.picture[y, x].astype(int)
+                assert (after <= before + 12).all(), (index, point)
+    assert hidden > 8
+
+
+def test_what_lies_outside_is_not_visible(drawn):
+    outside = 0
+    for sample in drawn:
+        x, y = sample.keypoints_xy.T
+        out = (x < -0.5) | (y < -0.5) | (x > 255.5) | (y > 255.5)
+        assert not sample.visible[out].any()
+        outside += out.sum()
+    assert outside > 20
+
+
+def test_a_body_over_itself_hides_the_half_behind():
+    found = 0
+    for index in range(40):
+        look = stark(drawn_look(10, index, families=EVEN, bend_deg=(268, 268), size_wh=(200, 200)))
+        samples = [
+            Stage(dc.replace(look, body=dc.replace(look.body, tip_over=over))).frame(268)
+            for over in (True, False)
+        ]
+        tip_over, base_over = (sample.visible for sample in samples)
+        # Seen from behind, what lies before and what behind change places.
+        assert tip_over[5:].sum() >= base_over[5:].sum()
+        assert base_over[:4].sum() >= tip_over[:4].sum()
+        found += int((tip_over != base_over).any())
+    assert found >= 3
+
+
+def test_mirrored_and_enlarged_looks_keep_their_truth():
+    look = frontal(drawn_look(4, families=EVEN, bend_deg=(90, 90), size_wh=(240, 200)))
+    look = stark(dc.replace(look, body=dc.replace(look.body, base_share=0.1)))
+    (x, y), place = look.place.base_xy, look.place
+    sample = Stage(look).frame(90)
+    flipped = dc.replace(
+        place, base_xy=(239 - x, y), direction_deg=180 - place.direction_deg, side=-place.side
+    )
+    mirrored = Stage(dc.replace(look, place=flipped)).frame(90)
+    np.testing.assert_allclose(mirrored.keypoints_xy, (239, 0) + sample.keypoints_xy * (-1, 1), atol=1e-9)
+    assert abs(mirrored.angle_deg + sample.angle_deg) < 1e-9
+    body_there = np.abs(darkness(mirrored)[:, ::-1] - darkness(sample))
+    assert (body_there > 0.5).mean() < 0.002
+    double = dc.replace(
+        look,
+        size_wh=(480, 400),
+        body=dc.replace(look.body, length_px=2 * look.body.length_px, half_px=2 * look.body.half_px),
+        place=dc.replace(place, base_xy=(2 * x + 0.5, 2 * y + 0.5)),
+    )
+    enlarged = Stage(double).frame(90)
+    np.testing.assert_allclose(enlarged.keypoints_xy, 2 * sample.keypoints_xy + 0.5, atol=1e-9)
+    small = cv2.resize(darkness(enlarged), (240, 200), interpolation=cv2.INTER_AREA)
+    assert (np.abs(small - darkness(sample)) > 0.5).mean() < 0.002
+
+
+def test_a_video_moves_the_tip_and_leaves_the_base():
+    look = drawn_look(2, families=HELD_OUT, bend_deg=(0, 200), size_wh=(160, 120))
+    stage, bends = Stage(look), inflation_deg(look, 9)
+    assert bends[0] == bends[-1] == 0
+    assert bends[4] == 200
+    samples = [stage.frame(bend, noise_seed=index) for index, bend in enumerate(bends)]
+    base = np.array([sample.keypoints_xy[:2] for sample in samples])
+    assert np.ptp(base, axis=0).max() < 1e-9
+    assert np.hypot(*(samples[4].keypoints_xy[8] - samples[0].keypoints_xy[8])) > 0.5 * look.body.length_px
+    angles = [abs(sample.angle_deg) for sample in samples]
+    assert (np.diff(angles[:5]) > 0).all()
+    # Same angle, other noise.
+    assert 0 < np.abs(samples[0].picture.astype(int) - samples[-1].picture).mean() < 25
+    np.testing.assert_array_equal(Stage(look).frame(bends[3], noise_seed=3).picture, samples[3].picture)
+
+
+@pytest.mark.parametrize("change", [in_other_light, before_other_background])
+def test_other_light_and_background_leave_the_body_where_it_is(change):
+    look = drawn_look(6, bend_deg=(0, 150), size_wh=(160, 120))
+    before, after = Stage(look).frame(75), Stage(change(look, 3)).frame(75)
+    np.testing.assert_array_equal(before.keypoints_xy, after.keypoints_xy)
+    assert after.look.body == look.body
+    assert after.look.surface == look.surface
+    assert np.abs(before.picture.astype(int) - after.picture).mean() > 5
+
+
+def test_bodies_are_of_the_sizes_that_were_asked_for(drawn):
+    share = []
+    for sample in drawn:
+        share.append(np.ptp(sample.midline_xy, axis=0).max() / 256)
+        body = sample.look.body
+        assert 2 <= body.length_px / (2 * body.half_px) <= 26
+    assert min(share) > 0.12
+    assert max(share) < 1.1
+    assert np.percentile(share, 90) > 0.6

@@ -1,0 +1,41 @@
+"""An endless stream of rendered actuators with exact truth, every one another: what a network is pretrained on.
+
+    sample = draw(seed=1, index=0)          a picture, its midline, keypoints, visibility and angle
+    look = drawn_look(1, size_wh=(640, 480), families=HELD_OUT)
+    stage = Stage(look)                     one look, for a video
+    samples = [stage.frame(bend) for bend in inflation_deg(look, 100)]
+
+Words that looks are drawn from. The two columns never mix, in any of the four families: a look that is held out
+has a material, a background, a shape and a clamp that pretraining has not seen.
+
+    family       training                                                              held out
+    materials    translucent white, white, pigmented, dark rubber, printed, fabric     tinted translucent, speckled
+    backgrounds  plain, lined and squared paper, dark bench, wood, cutting mat,        optical table, curtain
+                 breadboard, room, studio, cluttered bench
+    shapes       separated, fast and smooth chambers, bellows, fibre tube, PneuFlex,   sawtooth, knuckled
+                 flat strip, ribbed tentacle
+    clamps       block, vice, printed holder, clip, fingers                            pipe, boss head
+"""
+
+from .chain import KEYPOINTS
+from .chance import before_other_background, drawn_look, in_other_light
+from .drawing import draw
+from .families import HELD_OUT, TRAINING, Families, Words
+from .look import Look
+from .stage import Sample, Stage, inflation_deg
+
+__all__ = [
+    "HELD_OUT",
+    "KEYPOINTS",
+    "TRAINING",
+    "Families",
+    "Look",
+    "Sample",
+    "Stage",
+    "Words",
+    "before_other_background",
+    "draw",
+    "drawn_look",
+    "in_other_light",
+    "inflation_deg",
+]

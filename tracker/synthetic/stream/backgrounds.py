@@ -1,0 +1,209 @@
+"""What lies behind everything, by the words of `families`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from ...types import FloatArray, ImageArray
+from .look import Colour, Scene
+from .noise import cut
+from .paint import Shade, rectangle, solid, strokes, tone
+from .things import Painter, any_colour
+
+Size = tuple[int, int]
+
+
+def background(word: str, scene: Scene, size_wh: Size) -> tuple[ImageArray, FloatArray]:
+    """Draw it.
+
+    Returns
+    -------
+    picture : RGB uint8 (H, W, 3), evenly lit
+    texture : (H, W) float32 around 1, what it is multiplied with besides the light
+    """
+    rng = np.random.default_rng([scene.seed, 3])
+    shape = (size_wh[1], size_wh[0])
+    picture = {
+        "plain paper": _paper, "lined paper": _lined, "squared paper": _squared, "dark bench": _bench,
+        "wood": _wood, "cutting mat": _mat, "breadboard": _holes, "optical table": _holes, "room": _room,
+        "studio": _studio, "cluttered bench": _bench, "curtain": _curtain,
+    }[word](word, scene, size_wh, rng)  # fmt: skip
+    texture = 1 + np.float32(scene.texture) * cut(rng, shape, 1.0)
+    texture += np.float32(1.5 * scene.texture) * cut(rng, shape, 40)
+    if word in ("dark bench", "cluttered bench"):
+        texture += np.float32(1.2 * scene.texture) * cut(rng, shape, 2.5)
+    return picture, texture
+
+
+def _unit(size_wh: Size) -> float:
+    return max(size_wh) / 256
+
+
+def _plain(
+    colour: Colour, size_wh: Size, rng: np.random.Generator, spread: float = 0.05, cells: int = 2
+) -> ImageArray:
+    """One colour that changes slowly."""
+    level = (
+        1
+        + spread * rng.standard_normal((cells, cells, 1))
+        + 0.25 * spread * rng.standard_normal((cells, cells, 3))
+    )
+    coarse = np.clip(255 * np.asarray(colour) * level, 0, 255).astype(np.float32)
+    fine = cv2.resize(coarse, size_wh, interpolation=cv2.INTER_LINEAR if cells < 3 else cv2.INTER_CUBIC)
+    return cv2.convertScaleAbs(np.maximum(fine, 0) if cells > 2 else fine)
+
+
+def _rules(size_wh: Size, pitch_px: float, turn_deg: float, offset: float) -> FloatArray:
+    """Parallel lines over the whole picture, (N, 2, 2)."""
+    reach = 0.5 * float(np.hypot(*size_wh)) + 1
+    along = np.array([np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))])
+    across = np.array([-along[1], along[0]])
+    place = (
+        (np.arange(-np.floor(reach / pitch_px), np.floor(reach / pitch_px)) + offset)[:, None]
+        * pitch_px
+        * across
+    )
+    centre = np.asarray(size_wh) / 2 + place
+    return np.stack([centre - reach * along, centre + reach * along], axis=1)
+
+
+def _paper(word: str, scene: Scene, size_wh: Size, rng: np.random.Generator) -> ImageArray:
+    picture = _plain(scene.colour, size_wh, rng)
+    if rng.random() < 0.35:
+        # A sheet ends within the picture, on something else.
+        beyond = any_colour(rng, 0.7)
+        turn = np.radians(scene.turn_deg)
+        along = np.array([np.cos(turn), np.sin(turn)])
+        reach = float(max(size_wh))
+        centre = np.asarray(size_wh) / 2 + np.array([-along[1], along[0]]) * reach * rng.uniform(0.8, 1.0)
+        solid(picture, rectangle(centre, along, 3 * reach, reach), beyond, rng)
+    return picture
+
+
+def _lined(word: str, scene: Scene, size_wh: Size, rng: np.random.Generator) -> ImageArray:
+    picture = _paper(word, scene, size_wh, rng)
+    width = max(1, round(0.8 * _unit(size_wh)))
+    strokes(picture, _rules(size_wh, scene.pitch_px, scene.turn_deg, rng.random()), scene.ink, width)
+    if rng.random() < 0.4:
+        margin = _rules(size_wh, 0.7 * max(size_wh), scene.turn_deg + 90, rng.random())
+        strokes(picture, margin[:1], (0.85, 0.45, 0.45), width)
+    return picture
+
+
+def _squared(word: str, scene: Scene, size_wh: Size, rng: np.random.Generator) -> ImageArray:
+    picture = _paper(word, scene, size_wh, rng)
+    for turn in (0, 90):
+        strokes(picture, _rules(size_wh, scene.pitch_px, scene.turn_deg + turn, rng.random()), scene.ink)
+        if scene.seed % 2:
+            strokes(
+                picture,
+                _rules(size_wh, 5 * scene.pitch_px, scene.turn_deg + turn, rng.random()),
+                scene.ink,
+                2,
+            )
+    return picture
+
+
+def _bench(word: str, scene: Scene, size_wh: Size, rng: np.random.Generator) -> ImageArray:
+    picture = _plain(scene.colour, size_wh, rng, 0.12, 3)
+    centre = rng.random((8, 1, 2)) * size_wh
+    scratches = np.concatenate([centre, centre + rng.normal(0, 30 * _unit(size_wh), (8, 1, 2))], axis=1)
+    strokes(picture, scratches[: int(rng.integers(9))], tuple(0.9 * c + 0.05 for c in scene.colour))  # type: ignore[arg-type]
+    if word == "cluttered bench":
+        painter = Painter(picture, rng, _unit(size_wh), Shade((2.5, 3.0), 2.5, 0.5))
+        for _ in range(int(rng.integers(4, 10))):
+            painter.anything(rng.random(2) * size_wh, rng.uniform(0, 2 * np.pi))
+    return picture
+
+
+def _wood(word: str, scene: Scene, size_wh: Size, rng: np.random.Generator) -> ImageArray:
+    picture = _plain(scene.colour, size_wh, rng, 0.08)
+    side = int(1.5 * max(size_wh))
+    grain = cv2.resize(
+        cut(rng, (side // 2, max(side // 28, 4)), 2.5), (side, side), interpolation=cv2.INTER_LINEAR
+    )
+    turn = cv2.getRotationMatrix2D((side / 2, side / 2), scene.turn_deg, 1.0)
+    turn[:, 2] -= (side - np.asarray(size_wh)) / 2
+    grain = cv2.warpAffine(grain, turn, size_wh, borderMode=cv2.BORDER_REFLECT)
+    level = cv2.merge([(1 + np.float32(k) * grain).astype(np.float32) for k in (0.07, 0.09, 0.11)])
+    picture = cv2.multiply(picture, level, dtype=cv2.CV_8U)
+    if rng.random() < 0.4:
+        strokes(
+            picture,
+            _rules(size_wh, rng.uniform(40, 100) * _unit(size_wh), -scene.turn_deg, rng.random()),
+            (0.2, 0.13, 0.08),
+        )
+    return picture
+
+
+def _mat(word: str, scene: Scene, size_wh: Size, rng: np.random.Generator) -> ImageArray:
+    picture = _plain(scene.colour, size_wh, rng)
+    faint: Colour = tuple(0.75 * c + 0.25 * i for c, i in zip(scene.colour, scene.ink, strict=True))  # type: ignore[assignment]
+    for turn in (0, 90):
+        strokes(picture, _rules(size_wh, scene.pitch_px, scene.turn_deg + turn, 0.5), faint)
+        strokes(picture, _rules(size_wh, 5 * scene.pitch_px, scene.turn_deg + turn, 0.5), scene.ink)
+    if rng.random() < 0.5:
+        strokes(picture, _rules(size_wh, 23 * scene.pitch_px, scene.turn_deg + 45, 0.5), scene.ink)
+    return picture
+
+
+def _holes(word: str, scene: Scene, size_wh: Size, rng: np.random.Generator) -> ImageArray:
+    """A regular pattern from one cell of it, repeated."""
+    cell = np.full((32, 32, 3), tone(scene.colour), np.uint8)
+    if word == "breadboard":
+        cv2.rectangle(cell, (10, 10), (21, 21), tone(scene.colour, 0.45), -1)
+        cv2.rectangle(cell, (12, 13), (20, 21), tone(scene.colour, 0.25), -1)
+    else:
+        cv2.circle(cell, (16, 16), 9, tone(scene.colour, 1.25), -1, cv2.LINE_AA)
+        cv2.circle(cell, (16, 16), 7, tone(scene.colour, 0.25), -1, cv2.LINE_AA)
+    pitch = scene.pitch_px * (1.0 if word == "breadboard" else 3.0)
+    cell = cv2.resize(cell, (int(max(np.ceil(pitch), 4)),) * 2, interpolation=cv2.INTER_AREA)
+    matrix = cv2.getRotationMatrix2D((0, 0), scene.turn_deg, len(cell) / pitch)
+    matrix[:, 2] = rng.random(2) * len(cell)
+    picture = cv2.warpAffine(
+        cell, matrix, size_wh, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_WRAP
+    )
+    if word == "breadboard":
+        # Rows end at a groove, and beside the rails run a red and a blue line.
+        groove = _rules(size_wh, 7 * scene.pitch_px, -scene.turn_deg, rng.random())
+        strokes(picture, groove, tuple(0.85 * c for c in scene.colour), max(2, round(1.3 * scene.pitch_px)))  # type: ignore[arg-type]
+        strokes(picture, groove[::2] + scene.pitch_px, (0.75, 0.25, 0.22))
+        strokes(picture, groove[::2] - scene.pitch_px, (0.25, 0.35, 0.70))
+    return picture
+
+
+def _room(word: str, scene: Scene, size_wh: Size, rng: np.random.Generator) -> ImageArray:
+    """Furniture and windows far out of focus, drawn small."""
+    small = (max(size_wh[0] // 4, 8), max(size_wh[1] // 4, 8))
+    picture = _plain(scene.colour, small, rng, 0.25, 3)
+    painter = Painter(picture, rng, _unit(small) * 1.6)
+    for _ in range(int(rng.integers(4, 11))):
+        place, along = (
+            rng.random(2) * small,
+            (np.array([0.0, 1.0]) if rng.random() < 0.8 else rng.normal(size=2)),
+        )
+        if rng.random() < 0.7:
+            outline = rectangle(place, along / np.hypot(*along), *(rng.uniform(0.1, 0.8, 2) * max(small)))
+            cv2.fillPoly(
+                picture, [np.round(outline).astype(np.int32)], tone(any_colour(rng, 0.6)), cv2.LINE_AA
+            )
+        else:
+            painter.disc(place, 0.0)
+    picture = cv2.GaussianBlur(picture, (0, 0), float(rng.uniform(0.7, 3.5)) * _unit(size_wh))
+    return cv2.resize(picture, size_wh, interpolation=cv2.INTER_CUBIC)
+
+
+def _studio(word: str, scene: Scene, size_wh: Size, rng: np.random.Generator) -> ImageArray:
+    return _plain(scene.colour, size_wh, rng, 0.15, 2)
+
+
+def _curtain(word: str, scene: Scene, size_wh: Size, rng: np.random.Generator) -> ImageArray:
+    picture = _plain(replace(scene).colour, size_wh, rng)
+    across = np.arange(size_wh[0], dtype=np.float32) / _unit(size_wh)
+    bent = across + 9 * np.sin(across / rng.uniform(20, 45) + rng.uniform(0, 6))
+    folds = 1 + 0.22 * np.sin(bent / rng.uniform(4, 9)) + 0.1 * np.sin(across / rng.uniform(12, 25))
+    level = np.broadcast_to(folds.astype(np.float32)[None, :, None], (size_wh[1], size_wh[0], 3))
+    return cv2.multiply(picture, np.ascontiguousarray(level), dtype=cv2.CV_8U)

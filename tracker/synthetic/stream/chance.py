@@ -1,0 +1,314 @@
+"""How a whole look is drawn by chance: which words, how large, where, on what and in which light."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from ...types import FloatArray
+from .bodies import drawn_body, drawn_surface
+from .chain import Chain, Projection, opposite, tightest
+from .coat import INNER, OUTER
+from .dice import Dice
+from .families import TRAINING, Families, Words
+from .look import Body, Colour, Light, Look, Place, Scene, Sensor, Surface, View
+
+# The body's inner side must not fold: largest product of curvature and half thickness.
+_TIGHTEST = 0.72
+# Thinnest body, px of a picture of 256.
+_THINNEST_PX = 4.5
+
+
+def drawn_look(
+    seed: int,
+    index: int = 0,
+    *,
+    size_wh: tuple[int, int] = (640, 480),
+    families: Families = TRAINING,
+    bend_deg: tuple[float, float] = (0.0, 180.0),
+    partly_out: float = 0.0,
+) -> Look:
+    """Draw a look. The same arguments draw the same one.
+
+    Parameters
+    ----------
+    seed, index : of the look; neighbours have nothing to do with each other
+    size_wh : of the pictures, px
+    families : the words that it may be drawn from
+    bend_deg : range that it will be shown at: the body stays in the picture over all of it
+    partly_out : how often it does not
+    """
+    dice = Dice(seed, index, 7)
+    words = Words(
+        *(
+            dice.one_of(f)
+            for f in (families.materials, families.backgrounds, families.shapes, families.clamps)
+        )
+    )
+    body, surface = drawn_body(words.shape, dice, bend_deg), drawn_surface(words.material, dice)
+    view = _view(dice)
+    sensor = _sensor(dice, size_wh)
+    body, place = _placed(body, view, size_wh, bend_deg, dice, partly_out)
+    light = _light(dice, body, size_wh)
+    scene = _scene(words, surface, body, sensor, dice, size_wh)
+    return Look(size_wh, families, words, bend_deg, body, surface, place, view, scene, light, sensor)
+
+
+def in_other_light(look: Look, seed: int) -> Look:
+    """The same body and camera at the same place on the same bench under other lamps, otherwise exposed."""
+    return replace(look, light=_light(Dice(seed, 8), look.body, look.size_wh))
+
+
+def before_other_background(look: Look, seed: int) -> Look:
+    """The same body held by the same clamp before another background of the look's families."""
+    dice = Dice(seed, 9)
+    words = replace(look.words, background=dice.one_of(look.families.backgrounds))
+    scene = _scene(words, look.surface, look.body, look.sensor, dice, look.size_wh)
+    kept = look.scene
+    scene = replace(
+        scene, clamp_colour=kept.clamp_colour, clamp_seed=kept.clamp_seed,
+        tube_colour=kept.tube_colour, tube_px=kept.tube_px, occluders=kept.occluders,
+    )  # fmt: skip
+    return replace(look, words=words, scene=scene)
+
+
+def _view(dice: Dice) -> View:
+    tilted, bowed = dice.maybe(0.6), dice.maybe(0.4)
+    return View(
+        tilt_x_deg=dice.about(0, 12) if tilted else 0.0,
+        tilt_y_deg=dice.about(0, 12) if tilted else 0.0,
+        nearness=dice.between(0.0, 0.8) if tilted else 0.0,
+        lens=dice.about(-0.05, 0.12) if bowed else 0.0,
+    )
+
+
+def _outline(body: Body, place: Place, view: View, size_wh: tuple[int, int], bends: FloatArray) -> FloatArray:
+    """Points about the body in the picture, at all bends, (N, 2)."""
+    projection = Projection(view, size_wh)
+    points = []
+    for bend in bends:
+        chain = Chain(body, place, float(bend))
+        s = np.linspace(0, chain.length_px, 14)
+        half = chain.half_px_at(s)
+        points += [chain.point(s, -half), chain.point(s, half)]
+    return projection.picture(np.concatenate(points))
+
+
+def _placed(
+    body: Body,
+    view: View,
+    size_wh: tuple[int, int],
+    bend_deg: tuple[float, float],
+    dice: Dice,
+    partly_out: float,
+) -> tuple[Body, Place]:
+    """Make the body as large as the picture wants it, and put it there."""
+    low, high = bend_deg
+    bends = np.array([low]) if high == low else np.linspace(low, high, 7)
+    folds = max(tightest(body, float(b)) * (INNER if b > 0 else OUTER) for b in (low, high))
+    body = replace(body, half_px=min(body.half_px, _TIGHTEST / folds))
+    unit = max(size_wh) / 256
+    side = 1 if dice.maybe(0.5) else -1
+    direction = dice.between(0, 360)
+    centre = (np.asarray(size_wh) - 1) / 2
+    frontal = View(0.0, 0.0, 0.0, 0.0)
+    extent = np.ptp(_outline(body, Place((0.0, 0.0), direction, side, None), frontal, size_wh, bends), axis=0)
+    wanted = dice.between(0.2, 0.95) if dice.maybe(0.3) else dice.between(0.35, 0.85)
+    fits = min(0.95 * size_wh[0] / extent[0], 0.95 * size_wh[1] / extent[1])
+    length = min(wanted * max(size_wh) / extent.max(), fits)
+    thin = 0.5 * _THINNEST_PX * unit
+    half = min(max(body.half_px * length, thin), _TIGHTEST / folds * length)
+    body = replace(body, length_px=length, half_px=half)
+    place = Place((float(centre[0]), float(centre[1])), direction, side, None)
+    # Tilt and lens move things a little: where the body comes to lie is seen in the picture, twice.
+    aim: FloatArray | None = None
+    for _ in range(2):
+        points = _outline(body, place, view, size_wh, bends)
+        corner, far = points.min(axis=0), points.max(axis=0)
+        if aim is None:
+            room = np.maximum(np.asarray(size_wh) - 1 - (far - corner), 0)
+            aim = room * dice.rng.random(2)
+            if dice.maybe(partly_out):
+                axis, beyond = dice.whole(0, 1), dice.between(0.08, 0.45) * (far - corner)
+                aim[axis] = room[axis] + beyond[axis] if dice.maybe(0.5) else -beyond[axis]
+        x, y = (np.asarray(place.base_xy) + aim - corner).tolist()
+        place = replace(place, base_xy=(x, y))
+    if dice.maybe(0.3):
+        thick = 2 * body.half_px
+        aside = dice.between(1.3, 2.5) * thick + dice.between(0, 0.5) * body.length_px
+        gripper = replace(place, second_arm=(dice.about(0, 0.1) * thick, aside, dice.between(-8, 45)))
+        if _labelled_is_nearer(body, gripper, view, size_wh, bends):
+            place = gripper
+    return body, place
+
+
+def _labelled_is_nearer(
+    body: Body, place: Place, view: View, size_wh: tuple[int, int], bends: FloatArray
+) -> bool:
+    """Of two arms the labelled one must be the one whose tip is nearer to the middle of the picture, at every bend."""
+    second = opposite(place)
+    if second is None:
+        return True
+    projection, centre = Projection(view, size_wh), (np.asarray(size_wh) - 1) / 2
+    for bend in bends:
+        chains = Chain(body, place, float(bend)), Chain(body, second, float(bend))
+        first, other = (
+            float(np.hypot(*(projection.picture(chain.point(chain.length_px)) - centre))) for chain in chains
+        )
+        if other < first + 0.06 * max(size_wh):
+            return False
+    return True
+
+
+def _light(dice: Dice, body: Body, size_wh: tuple[int, int]) -> Light:
+    unit = max(size_wh) / 256
+    warm = dice.about(0, 0.09) if dice.maybe(0.7) else dice.about(0, 0.2)
+    green = dice.about(0, 0.03)
+    hard = dice.maybe(0.4)
+    exposure = dice.between(0.85, 1.15) if dice.maybe(0.7) else dice.steeply(0.45, 1.7)
+    return Light(
+        azimuth_deg=dice.between(0, 360),
+        elevation_deg=dice.between(25, 80),
+        ambient=dice.between(0.3, 0.8),
+        tint=(1 + warm, 1 + green, 1 - warm),
+        gradient=dice.between(0, 0.4) if dice.maybe(0.6) else 0.0,
+        vignette=dice.between(0, 0.3) if dice.maybe(0.5) else 0.0,
+        shadow=dice.between(0.15, 0.7),
+        shadow_px=dice.between(0.2, 1.6) * body.half_px,
+        softness_px=(dice.between(0.5, 2) if hard else dice.between(2, 9)) * unit,
+        gain=exposure,
+        gamma=dice.between(0.8, 1.25),
+    )
+
+
+def _sensor(dice: Dice, size_wh: tuple[int, int]) -> Sensor:
+    unit = max(size_wh) / 256
+    kind = dice.between(0, 1)
+    return Sensor(
+        kind="colour" if kind < 0.84 else "grey" if kind < 0.93 else "infrared",
+        blur_px=dice.between(0.0, 1.0) if dice.maybe(0.8) else dice.between(1.0, 2.3) * math.sqrt(unit),
+        motion_px=dice.between(2, 7) if dice.maybe(0.12) else 0.0,
+        motion_deg=dice.between(0, 180),
+        sharpening=dice.between(0.2, 1.0) if dice.maybe(0.3) else 0.0,
+        noise=dice.steeply(0.6, 5) if dice.maybe(0.88) else dice.between(5, 12),
+        noise_cell=dice.one_of((1.0, 1.0, 2.0)),
+        jpeg_quality=dice.whole(18, 92) if dice.maybe(0.65) else 0,
+        subsampled=dice.maybe(0.7),
+        shrink=dice.between(1.3, 2.2) if dice.maybe(0.12) else 1.0,
+    )
+
+
+def _background_colour(word: str, dice: Dice) -> Colour:
+    level = dice.between(0.55, 0.97)
+    papers: tuple[Colour, ...] = (
+        (level, level, 0.98 * level),
+        (level, 0.98 * level, 0.93 * level),
+        dice.hue(dice.between(0.1, 0.6), level),
+    )
+    mats: tuple[Colour, ...] = (
+        (0.12, 0.38, 0.30),
+        (0.15, 0.32, 0.50),
+        (0.18, 0.18, 0.20),
+        (0.45, 0.47, 0.48),
+        (0.70, 0.35, 0.45),
+    )
+    woods: tuple[Colour, ...] = (
+        (0.72, 0.55, 0.36),
+        (0.55, 0.38, 0.24),
+        (0.84, 0.71, 0.53),
+        (0.36, 0.25, 0.17),
+        (0.65, 0.60, 0.53),
+    )
+    dark = dice.between(0.06, 0.45)
+    if word in ("plain paper", "lined paper", "squared paper"):
+        return dice.one_of(
+            (papers[0], papers[0], papers[1], papers[2]) if word == "plain paper" else papers[:2]
+        )
+    if word == "wood":
+        return dice.near(dice.one_of(woods), 0.07)
+    if word == "cutting mat":
+        return dice.near(dice.one_of(mats), 0.07)
+    if word == "breadboard":
+        return dice.near(
+            dice.one_of(((0.90, 0.89, 0.86), (0.90, 0.89, 0.86), (0.15, 0.25, 0.50), (0.15, 0.15, 0.16))),
+            0.05,
+        )
+    if word == "optical table":
+        return dice.near((dark, dark, 1.04 * dark) if dice.maybe(0.7) else (0.62, 0.63, 0.64), 0.05)
+    if word in ("dark bench", "cluttered bench"):
+        return (
+            dice.near((dark, dark, dark), 0.06)
+            if dice.maybe(0.75)
+            else dice.hue(dice.between(0.1, 0.5), dice.between(0.3, 0.8))
+        )
+    if word == "room":
+        return dice.near((0.55, 0.53, 0.50), 0.15)
+    grey = dice.between(0.04, 0.95)
+    return (grey, grey, grey) if dice.maybe(0.5) else dice.hue(dice.between(0.2, 0.8), dice.between(0.2, 0.9))
+
+
+def _luma(colour: Colour) -> float:
+    return 0.30 * colour[0] + 0.59 * colour[1] + 0.11 * colour[2]
+
+
+def _contrast(one: Colour, other: Colour, coloured: bool) -> float:
+    """How well the two are told apart; hue helps where the camera sees it."""
+    luma = abs(_luma(one) - _luma(other))
+    if not coloured:
+        return luma
+    hue = [(a - _luma(one)) - (b - _luma(other)) for a, b in zip(one, other, strict=True)]
+    return math.hypot(luma, 0.8 * math.hypot(*hue))
+
+
+def _scene(
+    words: Words, surface: Surface, body: Body, sensor: Sensor, dice: Dice, size_wh: tuple[int, int]
+) -> Scene:
+    unit = max(size_wh) / 256
+    coloured = sensor.kind == "colour"
+    best = max(
+        (_background_colour(words.background, dice) for _ in range(4)),
+        key=lambda colour: min(_contrast(colour, surface.colour, coloured), 0.3),
+    )
+    inks: tuple[Colour, ...] = (
+        (0.55, 0.65, 0.80),
+        (0.60, 0.60, 0.62),
+        (0.35, 0.45, 0.65),
+        (0.75, 0.62, 0.58),
+    )
+    light_ink: Colour = tuple(min(0.35 + 0.75 * c, 1.0) for c in best)  # type: ignore[assignment]
+    metals: tuple[Colour, ...] = (
+        (0.62, 0.63, 0.65),
+        (0.20, 0.20, 0.22),
+        (0.82, 0.82, 0.82),
+        (0.35, 0.36, 0.38),
+    )
+    clamp = (
+        dice.one_of(metals) if dice.maybe(0.55) else dice.hue(dice.between(0.4, 0.9), dice.between(0.3, 0.9))
+    )
+    if _contrast(clamp, surface.colour, coloured) < 0.22:
+        # Where the body leaves the clamp must be seen.
+        clamp = max(metals, key=lambda metal: _contrast(metal, surface.colour, coloured))
+    tubes: tuple[Colour, ...] = (
+        (0.85, 0.86, 0.86),
+        (0.10, 0.10, 0.11),
+        (0.20, 0.40, 0.75),
+        (0.80, 0.30, 0.20),
+        (0.75, 0.70, 0.50),
+    )
+    busy = dice.maybe(0.55)
+    return Scene(
+        seed=dice.seed(),
+        colour=best,
+        ink=light_ink if words.background == "cutting mat" else dice.near(dice.one_of(inks)),
+        pitch_px=dice.steeply(5, 22) * unit,
+        turn_deg=dice.about(0, 6) if dice.maybe(0.6) else dice.between(-90, 90),
+        texture=dice.between(0.003, 0.03),
+        things=dice.whole(1, 4) if busy else 0,
+        occluders=1 if dice.maybe(0.13) else 0,
+        clamp_colour=dice.near(clamp),
+        clamp_seed=dice.seed(),
+        tube_colour=dice.near(dice.one_of(tubes)),
+        tube_px=dice.between(0.25, 0.6) * body.half_px * 2 + 1.2 * unit if dice.maybe(0.75) else 0.0,
+    )

@@ -1,0 +1,46 @@
+"""The stream itself: sample number `index` of stream number `seed`."""
+
+from __future__ import annotations
+
+from .chance import drawn_look
+from .dice import Dice
+from .families import TRAINING, Families
+from .stage import Sample, Stage
+
+# Bends are drawn evenly from here to there, but as often as this near the straight rest.
+BEND_DEG = (-60.0, 270.0)
+_NEAR_REST = 0.15
+# One body in so many reaches out of the picture.
+_PARTLY_OUT = 0.15
+
+
+def draw(
+    seed: int, index: int, *, size_wh: tuple[int, int] = (256, 256), families: Families = TRAINING
+) -> Sample:
+    """A random look at a random bend.
+
+    The same arguments give the same sample, whatever was drawn before; samples of one stream have nothing to
+    do with each other.
+
+    Parameters
+    ----------
+    seed : of the stream
+    index : number of the sample in it
+    size_wh : of the picture, px
+    families : the words that it may be drawn from: `TRAINING` or `HELD_OUT`
+
+    Examples
+    --------
+    >>> sample = draw(seed=1, index=0)
+    >>> sample.picture.shape, sample.keypoints_xy.shape
+    ((256, 256, 3), (9, 2))
+    """
+    dice = Dice(seed, index, 6)
+    bend = dice.about(0, 12) if dice.maybe(_NEAR_REST) else dice.between(*BEND_DEG)
+    if dice.maybe(0.5):
+        bend = min(bend, dice.between(0, BEND_DEG[1]))
+    pressure = min(max(bend / dice.between(90, 250), 0.0), 1.0) * dice.between(0.5, 1.0)
+    look = drawn_look(
+        seed, index, size_wh=size_wh, families=families, bend_deg=(bend, bend), partly_out=_PARTLY_OUT
+    )
+    return Stage(look).frame(bend, pressure)

@@ -1,0 +1,124 @@
+"""Lays a coat along the midline into the picture: exact for every px, however the plane is seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ...types import FloatArray
+from .chain import SEGMENTS, Chain, Projection
+from .coat import INNER, OUTER, Coat
+
+# From this turn on the tip's half may come over the base's half.
+_OVERLAP_DEG = 110.0
+_FAR = -1000.0
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A part of the picture that is laid over it.
+
+    Attributes
+    ----------
+    x0, y0 : its top left pixel
+    rgba : (h, w, 4) uint8, premultiplied
+    """
+
+    x0: int
+    y0: int
+    rgba: NDArray[np.uint8]
+
+
+def _quads(chain: Chain, projection: Projection, s0: float) -> FloatArray:
+    """Corners of what each piece of the midline can cover, (P, 4, 2) px of the picture."""
+    bounds = np.append(chain.s, chain.length_px + 3)
+    bounds[0] = s0
+    half = chain.half_px_at(bounds)
+    inner = projection.picture(chain.point(bounds, -half * INNER))
+    outer = projection.picture(chain.point(bounds, half * OUTER))
+    return np.stack([inner[:-1], inner[1:], outer[1:], outer[:-1]], axis=1)
+
+
+def laid(
+    coat: Coat, chain: Chain, projection: Projection, size_wh: tuple[int, int], tip_over: bool, fine: int = 2
+) -> tuple[Layer | None, Layer | None]:
+    """The body as layers of the picture, the hinder half and the front half.
+
+    Parameters
+    ----------
+    tip_over : whether the tip's half is the one in front
+    fine : samples a px, in x and in y
+
+    Returns
+    -------
+    behind, front : `behind` is None where one layer holds the whole body, both where it is out of the picture
+    """
+    quads = _quads(chain, projection, coat.s0)
+    low = np.maximum(np.floor(quads.min(axis=(0, 1))).astype(int) - 1, 0)
+    high = np.minimum(np.ceil(quads.max(axis=(0, 1))).astype(int) + 2, size_wh)
+    if (high <= low).any():
+        return None, None
+    # Samples lie at (i + 0.5) / fine - 0.5 of a px.
+    corners = np.round(((quads - low + 0.5) * fine - 0.5) * 16).astype(np.int32)
+    box = (int(high[1] - low[1]) * fine, int(high[0] - low[0]) * fine)
+    everything = range(SEGMENTS + 2)
+    # A line that turns back on itself in the middle of an S overlaps nothing, but to look is cheap.
+    if np.ptp(np.degrees(chain.heading)) < _OVERLAP_DEG:
+        return None, _drawn(coat, chain, projection, corners, everything, box, low, fine, None)
+    half = SEGMENTS // 2 + 1
+    cut = float(chain.s[half])
+    base = _drawn(coat, chain, projection, corners, range(half + 1), box, low, fine, (-np.inf, cut))
+    tip = _drawn(
+        coat, chain, projection, corners, range(half - 1, SEGMENTS + 2), box, low, fine, (cut, np.inf)
+    )
+    return (base, tip) if tip_over else (tip, base)
+
+
+def _drawn(
+    coat: Coat,
+    chain: Chain,
+    projection: Projection,
+    corners: NDArray[np.int32],
+    pieces: range,
+    box: tuple[int, int],
+    low: NDArray[np.int_],
+    fine: int,
+    span: tuple[float, float] | None,
+) -> Layer:
+    owner = np.zeros(box, np.uint8)
+    for piece in pieces:
+        cv2.fillConvexPoly(owner, corners[piece], piece + 1, cv2.LINE_8, 4)
+    index = np.flatnonzero(owner)
+    rgba = np.zeros((*box, 4), np.uint8)
+    if len(index):
+        rows, columns = np.divmod(index.astype(np.int32), np.int32(box[1]))
+        x, y = projection.plane(
+            (columns.astype(np.float32) + 0.5) * np.float32(1 / fine) + np.float32(low[0] - 0.5),
+            (rows.astype(np.float32) + 0.5) * np.float32(1 / fine) + np.float32(low[1] - 0.5),
+        )
+        s, t = chain.body_coordinates(x, y, owner.ravel()[index].astype(np.intp) - 1)
+        taken = (s - np.float32(coat.s0)) * np.float32(coat.per_px)
+        across = np.asarray(t / chain.half_px_at(s), np.float32)
+        v = (across + np.float32(INNER)) * np.float32(coat.per_half)
+        if span is not None:
+            taken = np.where((s >= span[0]) & (s < span[1]), taken, np.float32(_FAR))
+        rgba.reshape(-1, 4)[index] = _looked_up(coat.rgba, taken, v)
+    size = (box[1] // fine, box[0] // fine)
+    return Layer(int(low[0]), int(low[1]), cv2.resize(rgba, size, interpolation=cv2.INTER_AREA))
+
+
+def _looked_up(texture: NDArray[np.uint8], u: FloatArray, v: FloatArray) -> NDArray[np.uint8]:
+    """Texture at a list of places, (N, 4); OpenCV wants them as a picture."""
+    wide = 256
+    room = -(-len(u) // wide) * wide
+    maps = np.full((2, room), np.float32(_FAR))
+    maps[0, : len(u)], maps[1, : len(v)] = u, v
+    found = cv2.remap(
+        texture, maps[0].reshape(-1, wide), maps[1].reshape(-1, wide), cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_CONSTANT, borderValue=(0, 0, 0, 0),
+    )  # fmt: skip
+    result: NDArray[np.uint8] = found.reshape(-1, 4)[: len(u)]
+    return result

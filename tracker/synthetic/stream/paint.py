@@ -1,0 +1,121 @@
+"""Shapes painted into a picture: outlines, and fills with a little light and shadow on them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from ...types import FloatArray, ImageArray
+from .look import Colour
+from .noise import cut
+
+
+@dataclass(frozen=True)
+class Shade:
+    """Shadow that a painted thing throws: offset and blur in px, and its depth."""
+
+    offset_xy: tuple[float, float]
+    softness_px: float
+    depth: float
+
+
+def fixed(points: FloatArray) -> np.ndarray:
+    """For OpenCV's `shift=4`."""
+    return np.round(np.asarray(points) * 16).astype(np.int32)
+
+
+def tone(colour: Colour, factor: float = 1.0) -> tuple[float, float, float]:
+    """Colour in [0, 1] to grey levels."""
+    r, g, b = (min(max(255 * factor * c, 0.0), 255.0) for c in colour)
+    return r, g, b
+
+
+def rectangle(centre: FloatArray, along: FloatArray, length: float, width: float) -> FloatArray:
+    """Corners, (4, 2); `along` is a unit vector."""
+    across = np.array([-along[1], along[0]])
+    a, b = 0.5 * length * along, 0.5 * width * across
+    return np.array([centre - a - b, centre + a - b, centre + a + b, centre - a + b])
+
+
+def capsule(start: FloatArray, end: FloatArray, start_radius: float, end_radius: float) -> FloatArray:
+    """Outline of a finger: two half circles and what lies between, (20, 2)."""
+    heading = np.arctan2(end[1] - start[1], end[0] - start[0])
+    arc = np.linspace(-np.pi / 2, np.pi / 2, 10)
+    front, back = heading + arc, heading + np.pi + arc
+    return np.concatenate(
+        [
+            end + end_radius * np.stack([np.cos(front), np.sin(front)], axis=1),
+            start + start_radius * np.stack([np.cos(back), np.sin(back)], axis=1),
+        ]
+    )
+
+
+def curve(knots: FloatArray, count: int = 60) -> FloatArray:
+    """Smooth line through about the knots, (count, 2)."""
+    line = cv2.resize(np.asarray(knots, np.float32), (2, count), interpolation=cv2.INTER_CUBIC)
+    return np.asarray(line, float)
+
+
+def strokes(picture: ImageArray, lines: FloatArray, colour: Colour, width: int = 1) -> None:
+    """Straight lines, (N, 2, 2), all at once."""
+    if len(lines):
+        cv2.polylines(picture, list(fixed(lines)), False, tone(colour), width, cv2.LINE_AA, 4)
+
+
+def solid(
+    picture: ImageArray,
+    outline: FloatArray,
+    colour: Colour,
+    rng: np.random.Generator,
+    *,
+    ramp: float = 0.15,
+    rounding_px: float = 0.0,
+    shade: Shade | None = None,
+    cover: ImageArray | None = None,
+) -> None:
+    """Fill an outline, in place.
+
+    Parameters
+    ----------
+    ramp : how much the light differs over it
+    rounding_px : its rim is darker this far inward
+    cover : (H, W) uint8, gets what is covered by it
+    """
+    height, width = picture.shape[:2]
+    spread = 3 * shade.softness_px + max(map(abs, shade.offset_xy)) if shade else 0.0
+    low = np.maximum(np.floor(outline.min(axis=0) - spread).astype(int) - 1, 0)
+    high = np.minimum(np.ceil(outline.max(axis=0) + spread).astype(int) + 2, (width, height))
+    if (high <= low).any():
+        return
+    within = np.s_[low[1] : high[1], low[0] : high[0]]
+    shape = (int(high[1] - low[1]), int(high[0] - low[0]))
+    mask = np.zeros(shape, np.uint8)
+    cv2.fillPoly(mask, [fixed(outline - low)], 255, cv2.LINE_AA, 4)
+    part = picture[within]
+    if shade:
+        dark = np.zeros(shape, np.uint8)
+        cv2.fillPoly(dark, [fixed(outline - low + shade.offset_xy)], 255, cv2.LINE_8, 4)
+        dark = cv2.blur(
+            cv2.blur(dark, (int(shade.softness_px) * 2 + 1,) * 2), (int(shade.softness_px) + 1,) * 2
+        )
+        part[:] = cv2.multiply(
+            part,
+            cv2.cvtColor(255 - cv2.convertScaleAbs(dark, alpha=shade.depth), cv2.COLOR_GRAY2RGB),
+            scale=1 / 255,
+        )
+    corners = (1 + ramp * (rng.random((2, 2), dtype=np.float32) * 2 - 1)).astype(np.float32)
+    level = cv2.resize(corners, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR)
+    level = level + np.float32(0.012) * cut(rng, shape, 1.0)
+    if rounding_px:
+        inner = cv2.GaussianBlur(mask, (0, 0), rounding_px).astype(np.float32) * np.float32(1 / 255)
+        level *= np.float32(0.40) + np.float32(0.62) * inner
+    filled = cv2.merge([cv2.convertScaleAbs(level, alpha=255 * c) for c in colour])
+    # Blend in 8 bits: part + (filled - part) mask / 255.
+    weight = cv2.cvtColor(mask, cv2.COLOR_GRAY2RGB)
+    part[:] = cv2.add(
+        cv2.multiply(filled, weight, scale=1 / 255), cv2.multiply(part, 255 - weight, scale=1 / 255)
+    )
+    if cover is not None:
+        np.maximum(cover[within], mask, out=cover[within])

@@ -1,0 +1,241 @@
+"""From a look to pictures with their truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ...types import FloatArray, ImageArray
+from .backgrounds import background
+from .chain import DENSE, KEYPOINTS, Chain, Projection, opposite, turn_in_picture_deg
+from .clamps import clamp, reach
+from .coat import coat
+from .exposure import light_map, taken
+from .laying import Layer, laid
+from .look import Look, Place
+from .paint import Shade, curve
+from .things import Painter
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A picture and its exact truth.
+
+    Attributes
+    ----------
+    picture : RGB uint8 (H, W, 3)
+    midline_xy : (96, 2) px of the picture, evenly along the body from where it leaves the clamp to its end
+    keypoints_xy : (9, 2) px, in the order of `KEYPOINTS`
+    visible : (9,) bool; within the picture, and nothing lies before it
+    angle_deg : turn from base_2 - base_1 to tip_2 - tip_1 in the picture, followed along the body, clockwise on
+        the screen positive; of a tilted plane not the bend that was asked for
+    look : what is shown; `look.words` are its families
+    """
+
+    picture: ImageArray
+    midline_xy: FloatArray
+    keypoints_xy: FloatArray
+    visible: NDArray[np.bool_]
+    angle_deg: float
+    look: Look
+
+
+class Stage:
+    """Draws one look at any angle. What does not move is drawn once, here."""
+
+    def __init__(self, look: Look) -> None:
+        self.look = look
+        self._unit = max(look.size_wh) / 256
+        self._projection = Projection(look.view, look.size_wh)
+        self._background, self._texture = background(look.words.background, look.scene, look.size_wh)
+        self._lit = light_map(look.light, look.size_wh)
+        light = look.light
+        toward = np.array([np.cos(np.radians(light.azimuth_deg)), np.sin(np.radians(light.azimuth_deg))])
+        x, y = (-light.shadow_px * toward).tolist()
+        self._shade = Shade((x, y), light.softness_px, light.shadow)
+        second = opposite(look.place)
+        self._places = (look.place,) if second is None else (second, look.place)
+        self._draw_behind()
+
+    def frame(self, bend_deg: float, pressure: float | None = None, noise_seed: int = 0) -> Sample:
+        """Draw the actuator.
+
+        Parameters
+        ----------
+        bend_deg : bend in the plane of the body, toward the side to which it bends under pressure
+        pressure : relative to the full one, swells the chambers; None goes with the bend
+        noise_seed : of the sensor's noise
+        """
+        look = self.look
+        if pressure is None:
+            pressure = float(np.clip(bend_deg / max(look.bend_deg[1], 90.0), 0, 1))
+        chains = [Chain(look.body, place, bend_deg) for place in self._places]
+        picture = self._background.copy()
+        fine = 2 if max(look.size_wh) < 900 else 1
+        layers: list[tuple[Layer | None, Layer | None]] = []
+        for chain in chains:
+            skin = coat(look.body, look.surface, look.light, chain, pressure, float(fine))
+            layers.append(laid(skin, chain, self._projection, look.size_wh, look.body.tip_over, fine))
+        shadow = self._texture * self._shadow([layer for pair in layers for layer in pair if layer])
+        picture = cv2.multiply(picture, cv2.cvtColor(shadow, cv2.COLOR_GRAY2RGB), dtype=cv2.CV_8U)
+        clamped, cover = np.zeros((2, *picture.shape[:2]), np.uint8)
+        # The labelled arm comes last and lies over the other.
+        for place, (behind, front) in zip(self._places, layers, strict=True):
+            for layer in (behind, front):
+                if layer is not None:
+                    _lay(picture, layer, self._shade if layer is front and behind is not None else None)
+            self._clamp(picture, place, clamped if place is look.place else None)
+        self._occlude(picture, cover, chains[-1])
+        rng = np.random.default_rng([look.scene.seed, 9, noise_seed])
+        return self._with_truth(
+            taken(picture, self._lit, look.light, look.sensor, rng), (cover, clamped), chains[-1], layers[-1]
+        )
+
+    def _with_truth(
+        self,
+        picture: ImageArray,
+        covers: tuple[ImageArray, ImageArray],
+        chain: Chain,
+        layers: tuple[Layer | None, Layer | None],
+    ) -> Sample:
+        """The truth beside the picture. `covers`: where an occluder lies, and where the clamp does."""
+        midline = self._projection.picture(chain.point(np.linspace(0, chain.length_px, DENSE)))
+        keypoints = self._projection.picture(chain.point(chain.keypoint_s))
+        width, height = self.look.size_wh
+        x_px, y_px = keypoints.T
+        visible = (x_px >= -0.5) & (x_px <= width - 0.5) & (y_px >= -0.5) & (y_px <= height - 0.5)
+        behind, front = layers
+        # Where the body overlaps itself, the hinder half's points may lie under the front half.
+        hinder = (
+            slice(0, len(KEYPOINTS) // 2) if self.look.body.tip_over else slice(len(KEYPOINTS) // 2 + 1, None)
+        )
+        for index in np.flatnonzero(visible):
+            x, y = np.clip(np.round(keypoints[index]), 0, (width - 1, height - 1)).astype(int)
+            # The body leaves the clamp at its edge: that point is seen.
+            if covers[0][y, x] > 127 or (index > 0 and covers[1][y, x] > 127):
+                visible[index] = False
+            if behind is not None and front is not None and index in range(len(KEYPOINTS))[hinder]:
+                u, v = x - front.x0, y - front.y0
+                inside = 0 <= v < front.rgba.shape[0] and 0 <= u < front.rgba.shape[1]
+                if inside and front.rgba[v, u, 3] > 127:
+                    visible[index] = False
+        angle = turn_in_picture_deg(keypoints, midline)
+        return Sample(picture, midline, keypoints, visible, angle, self.look)
+
+    def _draw_behind(self) -> None:
+        """Things that lie about and the tubes: into the background."""
+        look, scene = self.look, self.look.scene
+        rng = np.random.default_rng([scene.seed, 4])
+        painter = Painter(self._background, rng, self._unit, self._shade)
+        for _ in range(scene.things):
+            painter.anything(rng.random(2) * look.size_wh, rng.uniform(0, 2 * np.pi))
+        for place in self._places:
+            turn = rng.normal(0, 0.25, 6).cumsum()
+            if not scene.tube_px:
+                continue
+            heading = np.radians(place.direction_deg) + np.pi + turn
+            start = np.asarray(place.base_xy) - 2 * look.body.half_px * (
+                reach(look.words.clamp) - 0.4
+            ) * np.array([np.cos(heading[0] - np.pi - turn[0]), np.sin(heading[0] - np.pi - turn[0])])
+            steps = 40 * self._unit * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+            knots = np.concatenate([start[None], start + np.cumsum(steps, axis=0)])
+            painter.hose(self._projection.picture(curve(knots)), scene.tube_colour, scene.tube_px)
+        if len(self._places) == 2:
+            self._mount(painter, rng)
+
+    def _mount(self, painter: Painter, rng: np.random.Generator) -> None:
+        """What joins the clamps of two arms."""
+        ends = []
+        for place in self._places:
+            heading = np.radians(place.direction_deg)
+            along = np.array([np.cos(heading), np.sin(heading)])
+            across = np.array([-along[1], along[0]])
+            thick = 2 * self.look.body.half_px
+            base = np.asarray(place.base_xy)
+            ends += [
+                base - along * back * thick + across * side * thick
+                for back in (0.4, 1.6)
+                for side in (-0.7, 0.7)
+            ]
+        hull = cv2.convexHull(np.asarray(ends, np.float32)).reshape(-1, 2).astype(float)
+        painter.fill(self._projection.picture(hull), self.look.scene.clamp_colour)
+
+    def _clamp(self, picture: ImageArray, place: Place, cover: ImageArray | None) -> None:
+        look = self.look
+        thick = max(2 * look.body.half_px, 7 * self._unit)
+        heading = np.radians(place.direction_deg)
+        along = np.array([np.cos(heading), np.sin(heading)])
+        axes = thick * np.array([along, [-along[1], along[0]]])
+
+        def local(st: FloatArray) -> FloatArray:
+            # OpenCV fills a polygon about half a px beyond its outline; the face is to lie at the base.
+            return self._projection.picture(np.asarray(place.base_xy) - 0.45 * along + st @ axes)
+
+        rng = np.random.default_rng([look.scene.clamp_seed, 5])
+        clamp(
+            look.words.clamp,
+            look.scene.clamp_colour,
+            local,
+            thick,
+            Painter(picture, rng, self._unit, None, cover),
+        )
+
+    def _occlude(self, picture: ImageArray, cover: ImageArray, chain: Chain) -> None:
+        scene = self.look.scene
+        if not scene.occluders:
+            return
+        rng = np.random.default_rng([scene.seed, 6])
+        painter = Painter(picture, rng, self._unit, self._shade, cover)
+        for _ in range(scene.occluders):
+            s = rng.uniform(0.15, 1.0) * chain.length_px
+            place = self._projection.picture(chain.point(s))
+            across = float(chain.heading_at(np.array(s))) + np.pi / 2 + rng.normal(0, 0.5)
+            painter.hiding(place, across + np.pi * int(rng.integers(2)))
+
+    def _shadow(self, layers: list[Layer]) -> FloatArray:
+        """What the bodies' and clamps' shadow leaves of the light on the background, (H, W) float32."""
+        light, (width, height) = self.look.light, self.look.size_wh
+        mask = np.zeros((height, width), np.uint8)
+        for layer in layers:
+            rows, columns = layer.rgba.shape[:2]
+            part = mask[layer.y0 : layer.y0 + rows, layer.x0 : layer.x0 + columns]
+            np.maximum(part, layer.rgba[..., 3], out=part)
+        for place in self._places:
+            heading, thick = np.radians(place.direction_deg), 2 * self.look.body.half_px
+            along = np.array([np.cos(heading), np.sin(heading)])
+            ends = np.array([place.base_xy, np.asarray(place.base_xy) - 1.2 * thick * along])
+            corners = np.round(self._projection.picture(ends)).astype(np.int32)
+            cv2.line(
+                mask, tuple(corners[0].tolist()), tuple(corners[1].tolist()), 255, max(1, int(1.2 * thick))
+            )
+        small = cv2.resize(mask, ((width + 1) // 2, (height + 1) // 2), interpolation=cv2.INTER_AREA)
+        move = np.array([[1, 0, 0.5 * self._shade.offset_xy[0]], [0, 1, 0.5 * self._shade.offset_xy[1]]])
+        moved = cv2.warpAffine(small, move, (small.shape[1], small.shape[0]))
+        soft = cv2.GaussianBlur(moved, (0, 0), max(0.5 * light.softness_px, 0.6))
+        contact = cv2.GaussianBlur(small, (0, 0), 1.2 * self._unit)
+        left = cv2.addWeighted(soft, -0.75 * light.shadow, contact, -0.25 * light.shadow, 255)
+        return cv2.resize(left, (width, height), interpolation=cv2.INTER_LINEAR) * np.float32(1 / 255)
+
+
+def _lay(picture: ImageArray, layer: Layer, shade: Shade | None) -> None:
+    """Put a layer over the picture, in place, with its shadow on what lies just behind."""
+    rows, columns = layer.rgba.shape[:2]
+    part = picture[layer.y0 : layer.y0 + rows, layer.x0 : layer.x0 + columns]
+    alpha = layer.rgba[..., 3]
+    through = 255 - alpha
+    if shade is not None:
+        near = cv2.GaussianBlur(alpha, (0, 0), 2.5)
+        through = cv2.multiply(
+            through, 255 - cv2.convertScaleAbs(near, alpha=0.6 * shade.depth), scale=1 / 255
+        )
+    dimmed = cv2.multiply(part, cv2.cvtColor(through, cv2.COLOR_GRAY2RGB), scale=1 / 255)
+    part[:] = cv2.add(dimmed, cv2.cvtColor(layer.rgba, cv2.COLOR_RGBA2RGB))
+
+
+def inflation_deg(look: Look, frames: int) -> FloatArray:
+    """Bend at each frame of a slow inflation: from rest to the largest bend and back, (frames,)."""
+    bend: FloatArray = look.bend_deg[1] * 0.5 * (1 - np.cos(np.linspace(0, 2 * np.pi, frames)))
+    return bend
