@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..tracker.types import Detections, FloatArray
 
@@ -64,30 +65,43 @@ def calibrate(
     """
     residual = trained.xy - trained_labels
     known = np.logical_not(np.isnan(residual[..., 0]))
-    residual = residual[known]
-    peak = tuple(
-        float(np.median(own[seen])) if seen.any() else 1.0
-        for own, seen in zip(trained.likelihood.T, known.T, strict=True)
-    )
     n = int(max(1, np.median((~np.isnan(trained_labels).any(axis=2)).sum(axis=0))))
-    label_sd = float(np.sqrt(np.median((residual**2).sum(axis=1)) / MEDIAN_CHI2))
-    if held is None or held_labels is None:
-        return Calibration(1.0, label_sd, n, peak)
-    off = held.xy - held_labels
+    label_sd = float(np.sqrt(np.median((residual[known] ** 2).sum(axis=1)) / MEDIAN_CHI2))
+    scale = 1.0
+    if held is not None and held_labels is not None:
+        scale = spread_scale(held, held_labels, label_sd**2 * (1 + 1 / n))
+    return Calibration(scale, label_sd, n, usual_peaks(trained.likelihood, known))
+
+
+def usual_peaks(likelihood: FloatArray, known: NDArray[np.bool_]) -> tuple[float, ...]:
+    """For each keypoint the median peak of heatmaps (N, K) where it is known (N, K) to be there."""
+    return tuple(
+        float(np.median(own[seen])) if seen.any() else 1.0
+        for own, seen in zip(likelihood.T, known.T, strict=True)
+    )
+
+
+def spread_scale(found: Detections, truth: FloatArray, truth_variance: float) -> float:
+    """The factor on the network's own covariances that makes its distances from positions (N, K, 2) px likely.
+
+    1 where the spread is not clearly too small, or nothing is known. `truth_variance` is the positions' own, of x and
+    of y.
+    """
+    off = found.xy - truth
     seen = ~np.isnan(off).any(axis=2)
-    off, own = off[seen], held.covariance[seen]
+    off, own = off[seen], found.covariance[seen]
 
     def distance2(scale: float) -> float:
-        covariance = own * scale + np.eye(2) * label_sd**2 * (1 + 1 / n)
+        covariance = own * scale + np.eye(2) * truth_variance
         return float(np.median(np.einsum("ni,nij,nj->n", off, np.linalg.inv(covariance), off)))
 
     # Few points are held out, and half of all medians lie above their expectation: only what chance would not do
     # (two standard errors of the median, 2 / sqrt(n) each) says that the spread is too small.
     chance = MEDIAN_CHI2 + 2 * 2 / np.sqrt(max(len(off), 1))
     if not len(off) or distance2(1.0) <= chance:
-        return Calibration(1.0, label_sd, n, peak)
+        return 1.0
     low, high = 1.0, 1e4
     for _ in range(60):
         middle = float(np.sqrt(low * high))
         low, high = (middle, high) if distance2(middle) > MEDIAN_CHI2 else (low, middle)
-    return Calibration(high, label_sd, n, peak)
+    return high

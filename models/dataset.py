@@ -60,6 +60,7 @@ class PreparedFrame:
     coarse_view, fine_view : from frame px to px of those
     xy : (K, 2) frame px, NaN where not labelled
     region : the working region of frames of this size
+    hidden : (K,) bool, True where the keypoint is known to lie behind something; None: nowhere
     """
 
     coarse: ImageArray
@@ -68,6 +69,12 @@ class PreparedFrame:
     fine_view: View
     xy: FloatArray
     region: WorkingRegion
+    hidden: BoolArray | None = None
+
+    @property
+    def in_sight(self) -> BoolArray:
+        """(K,) bool, False where the keypoint is hidden."""
+        return np.ones(len(self.xy), bool) if self.hidden is None else ~self.hidden
 
 
 def read_image(frame: LabelledFrame) -> ImageArray:
@@ -132,21 +139,29 @@ def locator_batch(
         xy = view.to_input(points)
         targets.append(xy)
         known.append(labelled)
-        present.append(_in_view(xy, size_wh) & ~_hidden(xy, mask))
+        present.append(_in_view(xy, size_wh) & ~_hidden(xy, mask) & frame.in_sight)
     return _stack(images, targets, known, present)
 
 
 def refiner_batch(
-    frames: Mapping[int, PreparedFrame], chosen: Sequence[int], partner: Sequence[int], rng: Rng
+    frames: Mapping[int, PreparedFrame],
+    chosen: Sequence[int],
+    partner: Sequence[int],
+    rng: Rng,
+    *,
+    most: int | None = None,
 ) -> Batch:
-    """One random patch around each labelled keypoint of the frames `chosen`, by their keys."""
+    """One random patch around each labelled keypoint of the frames `chosen`, by their keys; of `most` of a frame's."""
     images, targets, known, present = [], [], [], []
     for index in chosen:
         frame = frames[index]
         points = frame.fine_view.to_input(frame.xy)
         labelled: BoolArray = np.logical_not(np.isnan(points).any(axis=1))
         directions = patch_directions(points, partner)
-        for k in np.flatnonzero(labelled).tolist():
+        keypoints = np.flatnonzero(labelled)
+        if most is not None and most < len(keypoints):
+            keypoints = rng.choice(keypoints, most, replace=False)
+        for k in keypoints.tolist():
             zoom = frame.region.magnification
             turn = directions[k] + np.deg2rad(rng.normal(0, PATCH_TURN_DEG))
             if not labelled[partner[k]]:
@@ -159,7 +174,7 @@ def refiner_batch(
             xy = view.to_input(points)
             targets.append(xy)
             known.append(labelled)
-            present.append(_in_view(xy, (PATCH_SIDE, PATCH_SIDE)) & ~_hidden(xy, mask))
+            present.append(_in_view(xy, (PATCH_SIDE, PATCH_SIDE)) & ~_hidden(xy, mask) & frame.in_sight)
     return _stack(images, targets, known, present)
 
 

@@ -14,6 +14,7 @@ from .frame_commands import frames, labels
 from .label_command import label
 from .live_command import live
 from .network_commands import evaluate, train
+from .pretrain_command import pretrain
 from .project_commands import export_labels, import_labels, new
 from .study_commands import analyze
 from .video_commands import render, track
@@ -33,6 +34,7 @@ _COMMANDS: dict[str, Callable[..., None]] = {  # in the order of --help
     "live": live,
     "analyze": analyze,
     "render": render,
+    "pretrain": pretrain,
     "doctor": doctor,
 }
 for _name, _command in _COMMANDS.items():

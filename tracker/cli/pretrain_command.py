@@ -1,0 +1,59 @@
+"""The command `pretrain`: hours of rendered actuators, for a network that knows them before any label."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..atomic import remove_leftovers
+from ..errors import TrainingError
+from . import talk
+
+
+def pretrain(
+    out: Annotated[Path, typer.Argument(help="Folder of the network.", metavar="OUT")],
+    backbone: Annotated[str, typer.Option(help="resnet18, resnet34 or resnet50.")] = "resnet18",
+    steps: Annotated[
+        int | None,
+        typer.Option(help="In all; the learning rate falls towards the last.", show_default="30000"),
+    ] = None,
+    stop_after: Annotated[
+        float | None, typer.Option(help="Stop after so many minutes; --resume goes on.", metavar="MINUTES")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Everything random follows from it.")] = 0,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with what was stopped in OUT.")] = False,
+) -> None:
+    """Teach a network actuators in general, from rendered ones.
+
+    For days on two cores, an hour or two on a GPU; can be stopped at any time. `train --init OUT/weights.safetensors`
+    starts from what came of it, finished or not.
+    """
+    from ...models.header import WEIGHTS_FILE
+    from ...models.pretraining import PretrainingSettings
+    from ...models.pretraining import pretrain as run
+    from ...models.training_state import STATE_FILE
+    from . import progress_bars
+
+    if not resume and (out / STATE_FILE).is_file():
+        raise TrainingError(
+            f"expected a folder without a pretraining, got an unfinished one in {out}: add --resume"
+        )
+    if not resume and (out / WEIGHTS_FILE).is_file():
+        raise TrainingError(f"expected a folder without a network, got one in {out}")
+    given = {} if steps is None else {"steps": steps}
+    settings = PretrainingSettings(backbone=backbone, seed=seed, **given)
+    remove_leftovers(out)
+    talk.say(f"{'Going on' if resume else 'Beginning'} in {out}: {settings.steps} steps in all, {backbone}")
+    with progress_bars.training(out.name) as progress:
+        stop_after_s = None if stop_after is None else 60 * stop_after
+        checkpoint = run(out, settings, resume=resume, stop_after_s=stop_after_s, progress=progress)
+    facts = checkpoint.training
+    judged = facts["judged"]
+    talk.say(
+        f"{facts['steps']} of {facts['steps_planned']} steps, {facts['pictures']} pictures, {facts['minutes']:.0f} min."
+        f" New pictures: {100 * judged['located_share']:.1f} % of the keypoints in sight are located within 5 % of the"
+        f" body's length (median {100 * judged['located_median']:.1f} %); refined to {judged['refined_px']:.2f} px"
+    )
+    talk.say(f"Network: {out / WEIGHTS_FILE}; figure: {out / 'learning-curve.png'}")
