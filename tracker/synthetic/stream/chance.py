@@ -84,18 +84,6 @@ def _view(dice: Dice) -> View:
     )
 
 
-def _outline(body: Body, place: Place, view: View, size_wh: tuple[int, int], bends: FloatArray) -> FloatArray:
-    """Points about the body in the picture, at all bends, (N, 2)."""
-    projection = Projection(view, size_wh)
-    points = []
-    for bend in bends:
-        chain = Chain(body, place, float(bend))
-        s = np.linspace(0, chain.length_px, 14)
-        half = chain.half_px_at(s)
-        points += [chain.point(s, -half), chain.point(s, half)]
-    return projection.picture(np.concatenate(points))
-
-
 def _placed(
     body: Body,
     view: View,
@@ -104,37 +92,45 @@ def _placed(
     dice: Dice,
     partly_out: float,
 ) -> tuple[Body, Place]:
-    """Make the body as large as the picture wants it, and put it there."""
+    """Make the body, which comes with length 1, as large as the picture wants it, and put it there."""
     low, high = bend_deg
     bends = np.array([low]) if high == low else np.linspace(low, high, 7)
-    folds = max(tightest(body, float(b)) * (INNER if b > 0 else OUTER) for b in (low, high))
+    folds = max(tightest(body, float(b)) * (INNER if b > 0 else OUTER) for b in {low, high})
     body = replace(body, half_px=min(body.half_px, _TIGHTEST / folds))
-    unit = max(size_wh) / 256
     side = 1 if dice.maybe(0.5) else -1
-    direction = dice.between(0, 360)
-    centre = (np.asarray(size_wh) - 1) / 2
-    frontal = View(0.0, 0.0, 0.0, 0.0)
-    extent = np.ptp(_outline(body, Place((0.0, 0.0), direction, side, None), frontal, size_wh, bends), axis=0)
+    place = Place((0.0, 0.0), dice.between(0, 360), side, None)
+    # The body's outline is the midline and its normals, which grow with it.
+    chains = [Chain(body, place, float(bend)) for bend in bends]
+    s = np.linspace(0, 1, 12)
+    both = np.concatenate(
+        [chain.point(s * chain.length_px, np.array([[0.0], [1.0]])) for chain in chains], axis=1
+    )
+    normals = both[1] - both[0]
+
+    def outline(length: float, half: float) -> FloatArray:
+        return np.concatenate([both[0] * length - half * normals, both[0] * length + half * normals])
+
+    size = np.asarray(size_wh)
+    extent = np.ptp(outline(1.0, body.half_px), axis=0)
     wanted = dice.between(0.2, 0.95) if dice.maybe(0.3) else dice.between(0.35, 0.85)
-    fits = min(0.95 * size_wh[0] / extent[0], 0.95 * size_wh[1] / extent[1])
-    length = min(wanted * max(size_wh) / extent.max(), fits)
-    thin = 0.5 * _THINNEST_PX * unit
-    half = min(max(body.half_px * length, thin), _TIGHTEST / folds * length)
+    length = float(min(wanted * size.max() / extent.max(), (0.95 * size / extent).min()))
+    thinnest = 0.5 * _THINNEST_PX * size.max() / 256
+    half = min(max(body.half_px * length, thinnest), _TIGHTEST / folds * length)
     body = replace(body, length_px=length, half_px=half)
-    place = Place((float(centre[0]), float(centre[1])), direction, side, None)
+    around, projection = outline(length, half), Projection(view, size_wh)
     # Tilt and lens move things a little: where the body comes to lie is seen in the picture, twice.
-    aim: FloatArray | None = None
+    base, aim = (size - 1) / 2, None
     for _ in range(2):
-        points = _outline(body, place, view, size_wh, bends)
-        corner, far = points.min(axis=0), points.max(axis=0)
+        seen = projection.picture(base + around)
+        corner, far = seen.min(axis=0), seen.max(axis=0)
         if aim is None:
-            room = np.maximum(np.asarray(size_wh) - 1 - (far - corner), 0)
+            room = np.maximum(size - 1 - (far - corner), 0)
             aim = room * dice.rng.random(2)
             if dice.maybe(partly_out):
                 axis, beyond = dice.whole(0, 1), dice.between(0.08, 0.45) * (far - corner)
                 aim[axis] = room[axis] + beyond[axis] if dice.maybe(0.5) else -beyond[axis]
-        x, y = (np.asarray(place.base_xy) + aim - corner).tolist()
-        place = replace(place, base_xy=(x, y))
+        base = base + aim - corner
+    place = replace(place, base_xy=(float(base[0]), float(base[1])))
     if dice.maybe(0.3):
         thick = 2 * body.half_px
         aside = dice.between(1.3, 2.5) * thick + dice.between(0, 0.5) * body.length_px
@@ -167,7 +163,7 @@ def _light(dice: Dice, body: Body, size_wh: tuple[int, int]) -> Light:
     warm = dice.about(0, 0.09) if dice.maybe(0.7) else dice.about(0, 0.2)
     green = dice.about(0, 0.03)
     hard = dice.maybe(0.4)
-    exposure = dice.between(0.85, 1.15) if dice.maybe(0.7) else dice.steeply(0.45, 1.7)
+    exposure = dice.between(0.85, 1.15) if dice.maybe(0.7) else dice.steeply(0.55, 1.6)
     return Light(
         azimuth_deg=dice.between(0, 360),
         elevation_deg=dice.between(25, 80),

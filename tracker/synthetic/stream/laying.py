@@ -37,8 +37,7 @@ def _quads(chain: Chain, projection: Projection, s0: float) -> FloatArray:
     bounds = np.append(chain.s, chain.length_px + 3)
     bounds[0] = s0
     half = chain.half_px_at(bounds)
-    inner = projection.picture(chain.point(bounds, -half * INNER))
-    outer = projection.picture(chain.point(bounds, half * OUTER))
+    inner, outer = projection.picture(chain.point(bounds, np.array([[-INNER], [OUTER]]) * half))
     return np.stack([inner[:-1], inner[1:], outer[1:], outer[:-1]], axis=1)
 
 
