@@ -44,6 +44,7 @@ class Chain(ArcChain):
     ----------
     length_px : from where the body leaves the clamp to its end
     keypoint_s : (9,) where the `KEYPOINTS` are
+    end_xy : (2,) where it ends
     """
 
     def __init__(self, body: Body, place: Place, bend_deg: float) -> None:
@@ -64,6 +65,7 @@ class Chain(ArcChain):
         )
         self.length_px = base + bending + tip
         self.keypoint_s = np.array([0.0, *(base + bending * np.arange(7) / 6), self.length_px])
+        self.end_xy = self.origin[-1] + tip * self.along[-1]
         self._half_px, self._taper = body.half_px, body.taper
 
     def half_px_at(self, s: FloatArray) -> FloatArray:

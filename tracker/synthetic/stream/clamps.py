@@ -120,7 +120,7 @@ def _fingers(colour: Colour, local: Local, thick: float, painter: Painter) -> No
         middle + np.array([-0.6 * radius, 0.0]) + 0.9 * along,
     )
     palm = middle - along * rng.uniform(4.5, 6.0) * radius - np.array([2.2 * radius, 0.0])
-    wrist = palm - along * 12 * radius - np.array([rng.uniform(0, 5), 0.0])
+    wrist = palm - along * 30 * radius - np.array([rng.uniform(0, 5), 0.0])
     finger_root, thumb_root = palm + np.array([0.3, 0.0]), palm + np.array([1.4 * radius, 0.0])
     # The finger lies behind the thumb, which shades it at its rim.
     hand = capsule(wrist, palm, 2.4 * radius, 2.6 * radius)

@@ -40,9 +40,9 @@ def rectangle(centre: FloatArray, along: FloatArray, length: float, width: float
 
 
 def capsule(start: FloatArray, end: FloatArray, start_radius: float, end_radius: float) -> FloatArray:
-    """Outline of a finger: two half circles and what lies between, (20, 2)."""
+    """Outline of a finger: two half circles and what lies between, (40, 2)."""
     heading = np.arctan2(end[1] - start[1], end[0] - start[0])
-    arc = np.linspace(-np.pi / 2, np.pi / 2, 10)
+    arc = np.linspace(-np.pi / 2, np.pi / 2, 20)
     front, back = heading + arc, heading + np.pi + arc
     return np.concatenate(
         [
