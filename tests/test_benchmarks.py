@@ -29,6 +29,7 @@ SMALL = {
         ],
         "largest error of a hysteresis ratio",
     ),
+    "stream.py": (["--pictures", "12", "--frames", "3"], "256 x 256, every look"),
     "speed.py": (["--seconds", "1.5", "--rounds", "1", "--steps", "2"], "ratio to decoding alone"),
 }
 

@@ -31,10 +31,11 @@ def background(word: str, scene: Scene, size_wh: Size) -> tuple[ImageArray, Floa
         "wood": _wood, "cutting mat": _mat, "breadboard": _holes, "optical table": _holes, "room": _room,
         "studio": _studio, "cluttered bench": _bench, "curtain": _curtain,
     }[word](word, scene, size_wh, rng)  # fmt: skip
-    texture = 1 + np.float32(scene.texture) * cut(rng, shape, 1.0)
-    texture += np.float32(1.5 * scene.texture) * cut(rng, shape, 40)
+    texture = cv2.addWeighted(
+        cut(rng, shape, 1.0), scene.texture, cut(rng, shape, 40), 1.5 * scene.texture, 1.0
+    )
     if word in ("dark bench", "cluttered bench"):
-        texture += np.float32(1.2 * scene.texture) * cut(rng, shape, 2.5)
+        texture = cv2.scaleAdd(cut(rng, shape, 2.5), 1.2 * scene.texture, texture)
     return picture, texture
 
 
@@ -161,10 +162,15 @@ def _holes(word: str, scene: Scene, size_wh: Size, rng: np.random.Generator) -> 
         cv2.circle(cell, (16, 16), 7, tone(scene.colour, 0.25), -1, cv2.LINE_AA)
     pitch = scene.pitch_px * (1.0 if word == "breadboard" else 3.0)
     cell = cv2.resize(cell, (int(max(np.ceil(pitch), 4)),) * 2, interpolation=cv2.INTER_AREA)
-    matrix = cv2.getRotationMatrix2D((0, 0), scene.turn_deg, len(cell) / pitch)
-    matrix[:, 2] = rng.random(2) * len(cell)
+    # Tiled as far as the turned picture reaches; OpenCV's own repetition is slow.
+    scale = len(cell) / pitch
+    count = int(np.hypot(*size_wh) * scale / len(cell)) + 3
+    tiled = np.tile(cell, (count, count, 1))
+    matrix = cv2.getRotationMatrix2D((0, 0), scene.turn_deg, scale)
+    middle = np.asarray(size_wh) / 2
+    matrix[:, 2] = len(tiled) / 2 - matrix[:, :2] @ middle + (rng.random(2) - 0.5) * len(cell)
     picture = cv2.warpAffine(
-        cell, matrix, size_wh, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_WRAP
+        tiled, matrix, size_wh, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REFLECT
     )
     if word == "breadboard":
         # Rows end at a groove, and beside the rails run a red and a blue line.

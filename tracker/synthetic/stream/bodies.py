@@ -179,6 +179,6 @@ def drawn_surface(word: str, dice: Dice) -> Surface:
         gloss=dice.between(*gloss),
         shininess=dice.steeply(*shininess),
         grain=dice.between(0.01, 0.06),
-        roughness=dice.between(0.0, 0.5) if pattern == "none" else 0.15,
+        roughness=dice.between(0.0, 1.0) if pattern == "none" else 0.15,
         pattern=pattern,
     )

@@ -14,18 +14,16 @@ SEGMENTS = 24
 KEYPOINTS = ("base_1", "base_2", "mid_1", "mid_2", "mid_3", "mid_4", "mid_5", "tip_1", "tip_2")
 # Points of the dense midline.
 DENSE = 96
+# Middles of the arcs along the bend, and turns that add up to nothing, whose sizes add up to 1.
+_U = (np.arange(SEGMENTS) + 0.5) / SEGMENTS
+_THERE_AND_BACK = np.cos(np.pi * _U) / np.abs(np.cos(np.pi * _U)).sum()
 
 
 def _turns_rad(body: Body, bend_deg: float) -> FloatArray:
     """Turn of each arc, (SEGMENTS,)."""
-    u = (np.arange(SEGMENTS) + 0.5) / SEGMENTS
-    weight = 1 + body.focus * np.exp(-np.square((u - body.centre) / body.spread))
-    there_and_back = np.cos(np.pi * u)
-    there_and_back /= np.abs(there_and_back).sum()
-    turns: FloatArray = (
-        np.radians(bend_deg) * weight / weight.sum() + np.radians(body.s_turn_deg) * there_and_back
-    )
-    return turns
+    weight = 1 + body.focus * np.exp(-np.square((_U - body.centre) / body.spread))
+    turns: FloatArray = math.radians(bend_deg) / weight.sum() * weight
+    return turns + math.radians(body.s_turn_deg) * _THERE_AND_BACK
 
 
 def tightest(body: Body, bend_deg: float) -> float:
@@ -46,6 +44,7 @@ class Chain(ArcChain):
     ----------
     length_px : from where the body leaves the clamp to its end
     keypoint_s : (9,) where the `KEYPOINTS` are
+    end_xy : (2,) where it ends
     """
 
     def __init__(self, body: Body, place: Place, bend_deg: float) -> None:
@@ -66,6 +65,7 @@ class Chain(ArcChain):
         )
         self.length_px = base + bending + tip
         self.keypoint_s = np.array([0.0, *(base + bending * np.arange(7) / 6), self.length_px])
+        self.end_xy = self.origin[-1] + tip * self.along[-1]
         self._half_px, self._taper = body.half_px, body.taper
 
     def half_px_at(self, s: FloatArray) -> FloatArray:

@@ -19,6 +19,10 @@ from .look import Body, Colour, Light, Look, Place, Scene, Sensor, Surface, View
 _TIGHTEST = 0.72
 # Thinnest body, px of a picture of 256.
 _THINNEST_PX = 4.5
+# Arms that bend toward each other as far as this would lie in each other's way.
+_ARMS_CROSS_DEG = 130
+# Colours nearer than this are hard to tell apart.
+_SEEN = 0.22
 
 
 def drawn_look(
@@ -53,17 +57,22 @@ def drawn_look(
     body, place = _placed(body, view, size_wh, bend_deg, dice, partly_out)
     light = _light(dice, body, size_wh)
     scene = _scene(words, surface, body, sensor, dice, size_wh)
+    if _contrast(surface.cap_colour, scene.colour, sensor.kind == "colour") < _SEEN:
+        # A cap that cannot be told from the background would seem to shorten the body.
+        surface = replace(
+            surface, cap_colour=(0.90, 0.89, 0.85) if _luma(scene.colour) < 0.5 else (0.08, 0.08, 0.09)
+        )
     return Look(size_wh, families, words, bend_deg, body, surface, place, view, scene, light, sensor)
 
 
 def in_other_light(look: Look, seed: int) -> Look:
     """The same body and camera at the same place on the same bench under other lamps, otherwise exposed."""
-    return replace(look, light=_light(Dice(seed, 8), look.body, look.size_wh))
+    return replace(look, light=_light(Dice(seed, look.scene.seed, 8), look.body, look.size_wh))
 
 
 def before_other_background(look: Look, seed: int) -> Look:
     """The same body held by the same clamp before another background of the look's families."""
-    dice = Dice(seed, 9)
+    dice = Dice(seed, look.scene.seed, 9)
     words = replace(look.words, background=dice.one_of(look.families.backgrounds))
     scene = _scene(words, look.surface, look.body, look.sensor, dice, look.size_wh)
     kept = look.scene
@@ -84,18 +93,6 @@ def _view(dice: Dice) -> View:
     )
 
 
-def _outline(body: Body, place: Place, view: View, size_wh: tuple[int, int], bends: FloatArray) -> FloatArray:
-    """Points about the body in the picture, at all bends, (N, 2)."""
-    projection = Projection(view, size_wh)
-    points = []
-    for bend in bends:
-        chain = Chain(body, place, float(bend))
-        s = np.linspace(0, chain.length_px, 14)
-        half = chain.half_px_at(s)
-        points += [chain.point(s, -half), chain.point(s, half)]
-    return projection.picture(np.concatenate(points))
-
-
 def _placed(
     body: Body,
     view: View,
@@ -104,38 +101,43 @@ def _placed(
     dice: Dice,
     partly_out: float,
 ) -> tuple[Body, Place]:
-    """Make the body as large as the picture wants it, and put it there."""
+    """Make the body, which comes with length 1, as large as the picture wants it, and put it there."""
     low, high = bend_deg
     bends = np.array([low]) if high == low else np.linspace(low, high, 7)
-    folds = max(tightest(body, float(b)) * (INNER if b > 0 else OUTER) for b in (low, high))
+    folds = max(tightest(body, float(b)) * (INNER if b > 0 else OUTER) for b in {low, high})
     body = replace(body, half_px=min(body.half_px, _TIGHTEST / folds))
-    unit = max(size_wh) / 256
     side = 1 if dice.maybe(0.5) else -1
-    direction = dice.between(0, 360)
-    centre = (np.asarray(size_wh) - 1) / 2
-    frontal = View(0.0, 0.0, 0.0, 0.0)
-    extent = np.ptp(_outline(body, Place((0.0, 0.0), direction, side, None), frontal, size_wh, bends), axis=0)
+    place = Place((0.0, 0.0), dice.between(0, 360), side, None)
+    # The body's outline is the midline and its normals, which grow with it. The end is in the last piece.
+    chains = [Chain(body, place, float(bend)) for bend in bends]
+    line = np.concatenate([point for chain in chains for point in (chain.origin, chain.end_xy[None])])
+    normals = np.concatenate([way for chain in chains for way in (chain.inward, chain.inward[-1:])])
+
+    def outline(length: float, half: float) -> FloatArray:
+        return np.concatenate([line * length - half * normals, line * length + half * normals])
+
+    size = np.asarray(size_wh)
+    extent = np.ptp(outline(1.0, body.half_px), axis=0)
     wanted = dice.between(0.2, 0.95) if dice.maybe(0.3) else dice.between(0.35, 0.85)
-    fits = min(0.95 * size_wh[0] / extent[0], 0.95 * size_wh[1] / extent[1])
-    length = min(wanted * max(size_wh) / extent.max(), fits)
-    thin = 0.5 * _THINNEST_PX * unit
-    half = min(max(body.half_px * length, thin), _TIGHTEST / folds * length)
+    length = float(min(wanted * size.max() / extent.max(), (0.95 * size / extent).min()))
+    thinnest = 0.5 * _THINNEST_PX * size.max() / 256
+    half = min(max(body.half_px * length, thinnest), _TIGHTEST / folds * length)
     body = replace(body, length_px=length, half_px=half)
-    place = Place((float(centre[0]), float(centre[1])), direction, side, None)
+    around, projection = outline(length, half), Projection(view, size_wh)
     # Tilt and lens move things a little: where the body comes to lie is seen in the picture, twice.
-    aim: FloatArray | None = None
+    base, aim = (size - 1) / 2, None
     for _ in range(2):
-        points = _outline(body, place, view, size_wh, bends)
-        corner, far = points.min(axis=0), points.max(axis=0)
+        seen = projection.picture(base + around)
+        corner, far = seen.min(axis=0), seen.max(axis=0)
         if aim is None:
-            room = np.maximum(np.asarray(size_wh) - 1 - (far - corner), 0)
+            room = np.maximum(size - 1 - (far - corner), 0)
             aim = room * dice.rng.random(2)
             if dice.maybe(partly_out):
                 axis, beyond = dice.whole(0, 1), dice.between(0.08, 0.45) * (far - corner)
                 aim[axis] = room[axis] + beyond[axis] if dice.maybe(0.5) else -beyond[axis]
-        x, y = (np.asarray(place.base_xy) + aim - corner).tolist()
-        place = replace(place, base_xy=(x, y))
-    if dice.maybe(0.3):
+        base = base + aim - corner
+    place = replace(place, base_xy=(float(base[0]), float(base[1])))
+    if dice.maybe(0.35) and high < _ARMS_CROSS_DEG:
         thick = 2 * body.half_px
         aside = dice.between(1.3, 2.5) * thick + dice.between(0, 0.5) * body.length_px
         gripper = replace(place, second_arm=(dice.about(0, 0.1) * thick, aside, dice.between(-8, 45)))
@@ -154,9 +156,7 @@ def _labelled_is_nearer(
     projection, centre = Projection(view, size_wh), (np.asarray(size_wh) - 1) / 2
     for bend in bends:
         chains = Chain(body, place, float(bend)), Chain(body, second, float(bend))
-        first, other = (
-            float(np.hypot(*(projection.picture(chain.point(chain.length_px)) - centre))) for chain in chains
-        )
+        first, other = (float(np.hypot(*(projection.picture(chain.end_xy) - centre))) for chain in chains)
         if other < first + 0.06 * max(size_wh):
             return False
     return True
@@ -167,10 +167,10 @@ def _light(dice: Dice, body: Body, size_wh: tuple[int, int]) -> Light:
     warm = dice.about(0, 0.09) if dice.maybe(0.7) else dice.about(0, 0.2)
     green = dice.about(0, 0.03)
     hard = dice.maybe(0.4)
-    exposure = dice.between(0.85, 1.15) if dice.maybe(0.7) else dice.steeply(0.45, 1.7)
+    exposure = dice.between(0.85, 1.15) if dice.maybe(0.7) else dice.steeply(0.55, 1.6)
     return Light(
         azimuth_deg=dice.between(0, 360),
-        elevation_deg=dice.between(25, 80),
+        elevation_deg=dice.between(25, 72),
         ambient=dice.between(0.3, 0.8),
         tint=(1 + warm, 1 + green, 1 - warm),
         gradient=dice.between(0, 0.4) if dice.maybe(0.6) else 0.0,
@@ -287,7 +287,7 @@ def _scene(
     clamp = (
         dice.one_of(metals) if dice.maybe(0.55) else dice.hue(dice.between(0.4, 0.9), dice.between(0.3, 0.9))
     )
-    if _contrast(clamp, surface.colour, coloured) < 0.22:
+    if _contrast(clamp, surface.colour, coloured) < _SEEN:
         # Where the body leaves the clamp must be seen.
         clamp = max(metals, key=lambda metal: _contrast(metal, surface.colour, coloured))
     tubes: tuple[Colour, ...] = (

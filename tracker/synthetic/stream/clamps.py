@@ -120,15 +120,15 @@ def _fingers(colour: Colour, local: Local, thick: float, painter: Painter) -> No
         middle + np.array([-0.6 * radius, 0.0]) + 0.9 * along,
     )
     palm = middle - along * rng.uniform(4.5, 6.0) * radius - np.array([2.2 * radius, 0.0])
-    wrist = palm - along * 12 * radius - np.array([rng.uniform(0, 5), 0.0])
+    wrist = palm - along * 30 * radius - np.array([rng.uniform(0, 5), 0.0])
     finger_root, thumb_root = palm + np.array([0.3, 0.0]), palm + np.array([1.4 * radius, 0.0])
-    for start, end, wide, narrow in (
-        (wrist, palm, 2.4, 2.6),
-        (finger_root, other, 1.15, 0.8),
-        (thumb_root, thumb, 1.3, 1.0),
-    ):
-        outline = local(capsule(start, end, wide * radius, narrow * radius))
-        painter.fill(outline, skin, rounding_px=0.35 * narrow * radius * thick)
+    # The finger lies behind the thumb, which shades it at its rim.
+    hand = capsule(wrist, palm, 2.4 * radius, 2.6 * radius)
+    behind = capsule(finger_root, other, 1.15 * radius, 0.8 * radius)
+    painter.fill([local(hand), local(behind)], skin, rounding_px=0.35 * radius * thick)
+    painter.fill(
+        local(capsule(thumb_root, thumb, 1.3 * radius, radius)), skin, rounding_px=0.35 * radius * thick
+    )
     nail = local(
         capsule(thumb - 0.05 * along * radius, thumb + 0.4 * along * radius, 0.45 * radius, 0.45 * radius)
     )

@@ -34,11 +34,16 @@ class Layer:
 
 def _quads(chain: Chain, projection: Projection, s0: float) -> FloatArray:
     """Corners of what each piece of the midline can cover, (P, 4, 2) px of the picture."""
-    bounds = np.append(chain.s, chain.length_px + 3)
-    bounds[0] = s0
-    half = chain.half_px_at(bounds)
-    inner = projection.picture(chain.point(bounds, -half * INNER))
-    outer = projection.picture(chain.point(bounds, half * OUTER))
+    line, inward = (
+        np.concatenate([chain.origin, chain.end_xy[None]]),
+        chain.inward[[*range(len(chain.s)), -1]],
+    )
+    # The body begins under the clamp and may reach a little beyond its end.
+    line[0] += s0 * chain.along[0]
+    line[-1] += 3 * chain.along[-1]
+    half = chain.half_px_at(np.append(chain.s, chain.length_px))[:, None]
+    inner = projection.picture(line + INNER * half * inward)
+    outer = projection.picture(line - OUTER * half * inward)
     return np.stack([inner[:-1], inner[1:], outer[1:], outer[:-1]], axis=1)
 
 

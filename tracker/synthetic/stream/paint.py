@@ -40,9 +40,9 @@ def rectangle(centre: FloatArray, along: FloatArray, length: float, width: float
 
 
 def capsule(start: FloatArray, end: FloatArray, start_radius: float, end_radius: float) -> FloatArray:
-    """Outline of a finger: two half circles and what lies between, (20, 2)."""
+    """Outline of a finger: two half circles and what lies between, (40, 2)."""
     heading = np.arctan2(end[1] - start[1], end[0] - start[0])
-    arc = np.linspace(-np.pi / 2, np.pi / 2, 10)
+    arc = np.linspace(-np.pi / 2, np.pi / 2, 20)
     front, back = heading + arc, heading + np.pi + arc
     return np.concatenate(
         [
@@ -66,7 +66,7 @@ def strokes(picture: ImageArray, lines: FloatArray, colour: Colour, width: int =
 
 def solid(
     picture: ImageArray,
-    outline: FloatArray,
+    outline: FloatArray | list[FloatArray],
     colour: Colour,
     rng: np.random.Generator,
     *,
@@ -75,28 +75,29 @@ def solid(
     shade: Shade | None = None,
     cover: ImageArray | None = None,
 ) -> None:
-    """Fill an outline, in place.
+    """Fill an outline, or the union of several, in place.
 
     Parameters
     ----------
-    ramp : how much the light differs over it
+    ramp : how much the light differs over it; 0 for one colour, which is quick
     rounding_px : its rim is darker this far inward
     cover : (H, W) uint8, gets what is covered by it
     """
     height, width = picture.shape[:2]
     spread = 3 * shade.softness_px + max(map(abs, shade.offset_xy)) if shade else 0.0
-    low = np.maximum(np.floor(outline.min(axis=0) - spread).astype(int) - 1, 0)
-    high = np.minimum(np.ceil(outline.max(axis=0) + spread).astype(int) + 2, (width, height))
+    outlines = outline if isinstance(outline, list) else [outline]
+    points = np.concatenate(outlines)
+    low = np.maximum(np.floor(points.min(axis=0) - spread).astype(int) - 1, 0)
+    high = np.minimum(np.ceil(points.max(axis=0) + spread).astype(int) + 2, (width, height))
     if (high <= low).any():
         return
     within = np.s_[low[1] : high[1], low[0] : high[0]]
     shape = (int(high[1] - low[1]), int(high[0] - low[0]))
-    mask = np.zeros(shape, np.uint8)
-    cv2.fillPoly(mask, [fixed(outline - low)], 255, cv2.LINE_AA, 4)
     part = picture[within]
     if shade:
         dark = np.zeros(shape, np.uint8)
-        cv2.fillPoly(dark, [fixed(outline - low + shade.offset_xy)], 255, cv2.LINE_8, 4)
+        for each in outlines:
+            cv2.fillPoly(dark, [fixed(each - low + shade.offset_xy)], 255, cv2.LINE_8, 4)
         dark = cv2.blur(
             cv2.blur(dark, (int(shade.softness_px) * 2 + 1,) * 2), (int(shade.softness_px) + 1,) * 2
         )
@@ -105,11 +106,23 @@ def solid(
             cv2.cvtColor(255 - cv2.convertScaleAbs(dark, alpha=shade.depth), cv2.COLOR_GRAY2RGB),
             scale=1 / 255,
         )
+    plain = not ramp and not rounding_px
+    mask = np.zeros(() if plain else shape, np.uint8)
+    for each in outlines:
+        moved = [fixed(each - low)]
+        if plain:
+            cv2.fillPoly(part, moved, tone(colour), cv2.LINE_AA, 4)
+        else:
+            cv2.fillPoly(mask, moved, 255, cv2.LINE_AA, 4)
+        if cover is not None:
+            cv2.fillPoly(cover[within], moved, 255, cv2.LINE_AA, 4)
+    if plain:
+        return
     corners = (1 + ramp * (rng.random((2, 2), dtype=np.float32) * 2 - 1)).astype(np.float32)
     level = cv2.resize(corners, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR)
     level = level + np.float32(0.012) * cut(rng, shape, 1.0)
     if rounding_px:
-        inner = cv2.GaussianBlur(mask, (0, 0), rounding_px).astype(np.float32) * np.float32(1 / 255)
+        inner = _soft(mask, rounding_px)
         level *= np.float32(0.40) + np.float32(0.62) * inner
     filled = cv2.merge([cv2.convertScaleAbs(level, alpha=255 * c) for c in colour])
     # Blend in 8 bits: part + (filled - part) mask / 255.
@@ -117,5 +130,14 @@ def solid(
     part[:] = cv2.add(
         cv2.multiply(filled, weight, scale=1 / 255), cv2.multiply(part, 255 - weight, scale=1 / 255)
     )
-    if cover is not None:
-        np.maximum(cover[within], mask, out=cover[within])
+
+
+def _soft(mask: ImageArray, sigma_px: float) -> FloatArray:
+    """Blurred mask, 0 to 1; wide blurs are made small, where they cost little."""
+    shrink = max(int(sigma_px / 1.5), 1)
+    size = (mask.shape[1], mask.shape[0])
+    if shrink > 1:
+        small = (max(size[0] // shrink, 1), max(size[1] // shrink, 1))
+        mask = cv2.resize(mask, small, interpolation=cv2.INTER_AREA)
+    soft = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), sigma_px / shrink)
+    return cv2.resize(soft, size, interpolation=cv2.INTER_LINEAR) * np.float32(1 / 255)

@@ -19,6 +19,9 @@ from .look import Look, Place
 from .paint import Shade, curve
 from .things import Painter
 
+# Bodies that cover more than this many px are not supersampled.
+_LARGE_PX = 2500
+
 
 @dataclass(frozen=True)
 class Sample:
@@ -74,10 +77,11 @@ class Stage:
             pressure = float(np.clip(bend_deg / max(look.bend_deg[1], 90.0), 0, 1))
         chains = [Chain(look.body, place, bend_deg) for place in self._places]
         picture = self._background.copy()
-        fine = 2 if max(look.size_wh) < 900 else 1
+        # A large body is sharp enough with one sample a px: the coat's own edge is smooth.
+        fine = 2 if 2 * look.body.half_px * look.body.length_px < _LARGE_PX else 1
         layers: list[tuple[Layer | None, Layer | None]] = []
         for chain in chains:
-            skin = coat(look.body, look.surface, look.light, chain, pressure, float(fine))
+            skin = coat(look.body, look.surface, look.light, chain, pressure, 0.6 + 0.7 * fine)
             layers.append(laid(skin, chain, self._projection, look.size_wh, look.body.tip_over, fine))
         shadow = self._texture * self._shadow([layer for pair in layers for layer in pair if layer])
         picture = cv2.multiply(picture, cv2.cvtColor(shadow, cv2.COLOR_GRAY2RGB), dtype=cv2.CV_8U)
@@ -102,8 +106,8 @@ class Stage:
         layers: tuple[Layer | None, Layer | None],
     ) -> Sample:
         """The truth beside the picture. `covers`: where an occluder lies, and where the clamp does."""
-        midline = self._projection.picture(chain.point(np.linspace(0, chain.length_px, DENSE)))
-        keypoints = self._projection.picture(chain.point(chain.keypoint_s))
+        s = np.concatenate([np.linspace(0, chain.length_px, DENSE), chain.keypoint_s])
+        midline, keypoints = np.split(self._projection.picture(chain.point(s)), [DENSE])
         width, height = self.look.size_wh
         x_px, y_px = keypoints.T
         visible = (x_px >= -0.5) & (x_px <= width - 0.5) & (y_px >= -0.5) & (y_px <= height - 0.5)
@@ -113,7 +117,7 @@ class Stage:
             slice(0, len(KEYPOINTS) // 2) if self.look.body.tip_over else slice(len(KEYPOINTS) // 2 + 1, None)
         )
         for index in np.flatnonzero(visible):
-            x, y = np.clip(np.round(keypoints[index]), 0, (width - 1, height - 1)).astype(int)
+            x, y = min(max(round(x_px[index]), 0), width - 1), min(max(round(y_px[index]), 0), height - 1)
             # The body leaves the clamp at its edge: that point is seen.
             if covers[0][y, x] > 127 or (index > 0 and covers[1][y, x] > 127):
                 visible[index] = False

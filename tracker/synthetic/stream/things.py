@@ -62,12 +62,24 @@ class Painter:
         kinds = (self.pen, self.cable, self.cable, self.tape, self.finger, self.ruler)
         kinds[int(self.rng.integers(len(kinds)))](place, heading)
 
-    def fill(self, outline: FloatArray, colour: Colour, ramp: float = 0.12, rounding_px: float = 0.0) -> None:
+    def fill(
+        self,
+        outline: FloatArray | list[FloatArray],
+        colour: Colour,
+        ramp: float = 0.0,
+        rounding_px: float = 0.0,
+    ) -> None:
         """Fill an outline; see `paint.solid`."""
         solid(
             self.picture, outline, colour, self.rng,
             ramp=ramp, rounding_px=rounding_px, shade=self.shade, cover=self.cover,
         )  # fmt: skip
+
+    def _patch(self, outline: FloatArray, colour: Colour) -> None:
+        """Fill an outline on top of what is there: no shadow."""
+        for picture, filled in ((self.picture, tone(colour)), (self.cover, 255)):
+            if picture is not None:
+                cv2.fillPoly(picture, [fixed(outline)], filled, cv2.LINE_AA, 4)
 
     def sheet(self, place: FloatArray, heading: float) -> None:
         """A paper with some print on it."""
@@ -135,17 +147,13 @@ class Painter:
         along = np.array([np.cos(heading), np.sin(heading)])
         length, width = rng.uniform(60, 130) * unit, rng.uniform(3.5, 8) * unit
         colour = any_colour(rng, 0.3)
-        self.fill(rectangle(place, along, length, width), colour, 0.2, rounding_px=0.3 * width)
+        self.hose(place + np.array([[-0.5], [0.5]]) * length * along, colour, width)
         tip = place + 0.5 * length * along
         across = np.array([-along[1], along[0]])
         cone = np.array([tip - 0.5 * width * across, tip + 0.5 * width * across, tip + 1.6 * width * along])
-        self.fill(cone, any_colour(rng))
-        self.fill(
-            rectangle(place - 0.3 * length * along, along, 0.3 * length, 1.15 * width),
-            any_colour(rng, 0.3),
-            0.2,
-            0.3 * width,
-        )
+        self._patch(cone, any_colour(rng))
+        cap = rectangle(place - 0.35 * length * along, along, 0.3 * length, 1.15 * width)
+        self._patch(cap, any_colour(rng, 0.3))
 
     def cable(self, place: FloatArray, heading: float) -> None:
         """A cable or hose that runs through."""
@@ -221,17 +229,9 @@ class Painter:
         skin = SKIN[int(rng.integers(len(SKIN)))]
         along = np.array([np.cos(heading), np.sin(heading)])
         end = place - radius * along
+        hand = capsule(end - 30 * radius * along, end - 9 * radius * along, 2.8 * radius, 2.6 * radius)
         self.fill(
-            capsule(end - 22 * radius * along, end - 9 * radius * along, 3.0 * radius, 2.6 * radius),
-            skin,
-            0.15,
-            0.8 * radius,
-        )
-        self.fill(
-            capsule(end - 8 * radius * along, end, 1.3 * radius, radius),
-            skin,
-            0.12,
-            rounding_px=0.45 * radius,
+            [hand, capsule(end - 8 * radius * along, end, 1.3 * radius, radius)], skin, 0.12, 0.5 * radius
         )
         nail: Colour = tuple(min(1.0, 1.08 * c + 0.03) for c in skin)  # type: ignore[assignment]
         spot = capsule(end - 0.3 * radius * along, end + 0.45 * radius * along, 0.42 * radius, 0.42 * radius)
@@ -243,14 +243,15 @@ class Painter:
         skin, radius = SKIN[int(rng.integers(len(SKIN)))], rng.uniform(6, 10) * unit
         along = np.array([np.cos(heading), np.sin(heading)])
         across = np.array([-along[1], along[0]])
-        self.fill(
-            capsule(place - 8 * radius * along, place, 2.4 * radius, 2.6 * radius), skin, 0.15, 0.8 * radius
-        )
+        arm = capsule(place - 26 * radius * along, place - 3 * radius * along, 1.9 * radius, 1.8 * radius)
+        palm = capsule(place - 3 * radius * along, place, 2.3 * radius, 2.5 * radius)
+        fingers = []
         for number in range(4):
             start = place + across * (number - 1.5) * 1.35 * radius + along * radius
             turn = heading + (number - 1.5) * 0.12 + rng.normal(0, 0.08)
             end = start + rng.uniform(3, 5.5) * radius * np.array([np.cos(turn), np.sin(turn)])
-            self.fill(capsule(start, end, 0.85 * radius, 0.75 * radius), skin, 0.1, 0.35 * radius)
+            fingers.append(capsule(start, end, 0.85 * radius, 0.75 * radius))
+        self.fill([arm, palm, *fingers], skin, 0.15, 0.7 * radius)
 
     def breadboard(self, place: FloatArray, heading: float) -> None:
         """A board with holes or chips."""
