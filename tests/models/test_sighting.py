@@ -1,0 +1,109 @@
+"""Which end is fixed and where to look, from what a network finds in single frames, wrong ends included."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bendtrack.models.calibration import Calibration
+from bendtrack.models.finder import Finder
+from bendtrack.models.header import Header
+from bendtrack.models.regions import WorkingRegion
+from bendtrack.models.sighting import sight
+from bendtrack.tracker.angle import AngleDefinition, bending_angle
+from bendtrack.tracker.errors import VideoError
+
+KEYPOINTS = ("base_1", "base_2", "tip_1", "tip_2")
+SIZE_WH = (640, 480)
+HEADER = Header(
+    backbone="resnet18",
+    keypoints=KEYPOINTS,
+    definition=AngleDefinition("two-vector", KEYPOINTS),
+    regions=(WorkingRegion((256, 256), 0, 0, 256, 256, 0.5, 1.0),),
+    partner=(1, 0, 3, 2),
+    calibration=Calibration(usual_peak=(0.6,) * 4),
+)
+
+
+def body(angle_deg: float) -> np.ndarray:
+    """Four points (4, 2) px of an arm held at (300, 200)."""
+    turn = np.radians(angle_deg)
+    base = np.array([[300.0, 200.0], [330.0, 200.0]])
+    tip = base[1] + 80 * np.array([np.cos(turn / 2), np.sin(turn / 2)])
+    return np.stack([*base, tip, tip + 30 * np.array([np.cos(turn), np.sin(turn)])])
+
+
+class Oracle(Finder):
+    """Finds what it was told; pictures are numbered by their first pixel."""
+
+    def __init__(self, xy: np.ndarray, peak: np.ndarray, noise_px: float = 1.0) -> None:
+        object.__setattr__(self, "xy", xy + np.random.default_rng(0).normal(0, noise_px, xy.shape))
+        object.__setattr__(self, "peak", peak)
+
+    def located(self, frames, region):
+        chosen = [int(frame[0, 0, 0]) for frame in frames]
+        return self.xy[chosen].copy(), self.peak[chosen].copy()
+
+
+def glimpses(n: int) -> np.ndarray:
+    pictures = np.zeros((n, SIZE_WH[1], SIZE_WH[0], 3), np.uint8)
+    pictures[:, 0, 0, 0] = np.arange(n)
+    return pictures
+
+
+def arms(sign: float = 1.0) -> np.ndarray:
+    return np.stack([body(sign * angle) for angle in np.linspace(0, 120, 30)])
+
+
+def test_the_end_that_rests_is_the_fixed_one() -> None:
+    seen = sight(glimpses(30), HEADER, Oracle(arms(), np.full((30, 4), 0.6)))
+    assert (seen.fixed, seen.header.keypoints, seen.header.definition.sign) == (0, KEYPOINTS, 1)
+    np.testing.assert_allclose(seen.fixed_xy, (300, 200), atol=3)
+    assert seen.seen == 1.0
+
+
+def test_a_chain_found_from_the_wrong_end_is_named_from_the_right_one() -> None:
+    truth = arms()
+    seen = sight(glimpses(30), HEADER, Oracle(truth[:, ::-1], np.full((30, 4), 0.6)))
+    assert seen.fixed == -1
+    assert seen.header.keypoints == KEYPOINTS[::-1]
+    angle_deg, _, _ = bending_angle(truth[:, ::-1], seen.header.keypoints, seen.header.definition)
+    np.testing.assert_allclose(angle_deg, np.linspace(0, 120, 30), atol=1e-6)
+
+
+@pytest.mark.parametrize("turned", [0.3, 0.7])
+def test_frames_found_the_wrong_way_round_do_not_matter(turned: float) -> None:
+    """Neither for where the fixed end is, nor for what is found later."""
+    truth = arms(-1)
+    wrong = np.random.default_rng(1).random(30) < turned
+    xy = np.where(wrong[:, None, None], truth[:, ::-1], truth)
+    seen = sight(glimpses(30), HEADER, Oracle(xy, np.full((30, 4), 0.6)))
+    np.testing.assert_allclose(seen.fixed_xy, (300, 200), atol=3)
+    assert seen.fixed == (-1 if turned > 0.5 else 0)
+    # Positive is the way it bends, whichever that is on the screen and from whichever end it was found.
+    chain = truth[:, ::-1] if seen.fixed else truth
+    angle_deg, _, _ = bending_angle(chain, seen.header.keypoints, seen.header.definition)
+    np.testing.assert_allclose(angle_deg, np.linspace(0, 120, 30), atol=1e-6)
+
+
+def test_what_does_not_move_is_taken_as_the_network_says() -> None:
+    still = np.repeat(body(40)[None], 30, axis=0)
+    assert sight(glimpses(30), HEADER, Oracle(still, np.full((30, 4), 0.6))).fixed == 0
+
+
+def test_the_region_holds_every_pose_that_was_clearly_seen() -> None:
+    xy, peak = arms(), np.full((30, 4), 0.6)
+    xy[::3], peak[::3] = 20.0, 0.05  # a hand in the way: somewhere else, and hardly seen
+    seen = sight(glimpses(30), HEADER, Oracle(xy, peak))
+    region = seen.header.region_for(SIZE_WH)
+    points = xy[1::3].reshape(-1, 2)
+    corner = region.left, region.top
+    assert (points >= corner).all()
+    assert (points <= np.add(corner, (region.width, region.height))).all()
+    assert region.left > 100
+    assert seen.seen == pytest.approx(2 / 3)
+
+
+def test_where_nothing_is_seen_it_is_said() -> None:
+    with pytest.raises(VideoError, match=r"expected an actuator in sight, got one in 0 %"):
+        sight(glimpses(30), HEADER, Oracle(arms(), np.full((30, 4), 0.1)))
