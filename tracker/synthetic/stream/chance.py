@@ -22,6 +22,9 @@ _TIGHTEST = 0.72
 _THINNEST_PX = 4.5
 # Arms that bend toward each other as far as this would lie in each other's way.
 _ARMS_CROSS_DEG = 130
+# How much of the clamp, in half thicknesses, and how often.
+_CLAMP = 1.8
+_HELD_IN_SIGHT = 0.85
 # Colours nearer than this are hard to tell apart.
 _SEEN = 0.22
 
@@ -104,8 +107,13 @@ def _placed(
     line = np.concatenate([point for chain in chains for point in (chain.origin, chain.end_xy[None])])
     normals = np.concatenate([way for chain in chains for way in (chain.inward, chain.inward[-1:])])
 
+    # Mostly something of the clamp is seen too: without it, which end is held could not be told.
+    clamp = _CLAMP if dice.maybe(_HELD_IN_SIGHT) else 0.0
+    behind = -clamp * chains[0].along[0] + np.array([[-1.0], [1.0]]) * chains[0].inward[0]
+
     def outline(length: float, half: float) -> FloatArray:
-        return np.concatenate([line * length - half * normals, line * length + half * normals])
+        middle = line * length
+        return np.concatenate([middle - half * normals, middle + half * normals, half * behind])
 
     size = np.asarray(size_wh)
     extent = np.ptp(outline(1.0, body.half_px), axis=0)

@@ -186,8 +186,8 @@ def coat(
         for weight, other in mixes:
             plane = plane + (np.float32(other[channel]) - plane) * weight
         planes.append(np.minimum(plane * tone + gloss, np.float32(1)) * alpha)
-    rgba = cv2.merge([np.broadcast_to(plane, shape).astype(np.float32) for plane in (*planes, alpha)])
-    return Coat(cv2.convertScaleAbs(np.maximum(rgba, 0)), -hidden, per_px, per_half)
+    rgba = cv2.convertScaleAbs(cv2.merge([*planes, alpha]))
+    return Coat(rgba, -hidden, per_px, per_half)
 
 
 def _lit(
