@@ -132,7 +132,7 @@ def _placed(
             room = np.maximum(size - 1 - (far - corner), 0)
             aim = room * dice.rng.random(2)
             if dice.maybe(partly_out):
-                axis, beyond = dice.whole(0, 1), dice.between(0.08, 0.45) * (far - corner)
+                axis, beyond = dice.whole(0, 1), dice.between(0.1, 0.42) * (far - corner)
                 aim[axis] = room[axis] + beyond[axis] if dice.maybe(0.5) else -beyond[axis]
         base = base + aim - corner
     place = replace(place, base_xy=(float(base[0]), float(base[1])))
@@ -140,23 +140,23 @@ def _placed(
         thick = 2 * body.half_px
         aside = dice.between(1.3, 2.5) * thick + dice.between(0, 0.5) * body.length_px
         gripper = replace(place, second_arm=(dice.about(0, 0.1) * thick, aside, dice.between(-8, 45)))
-        if _labelled_is_nearer(body, gripper, view, size_wh, bends):
+        if _arms_fit(body, gripper, view, size_wh, bends):
             place = gripper
     return body, place
 
 
-def _labelled_is_nearer(
-    body: Body, place: Place, view: View, size_wh: tuple[int, int], bends: FloatArray
-) -> bool:
-    """Of two arms the labelled one must be the one whose tip is nearer to the middle of the picture, at every bend."""
+def _arms_fit(body: Body, place: Place, view: View, size_wh: tuple[int, int], bends: FloatArray) -> bool:
+    """Whether two arms can be drawn: they do not cross, and the labelled tip is the nearer to the middle, always."""
     second = opposite(place)
     if second is None:
         return True
     projection, centre = Projection(view, size_wh), (np.asarray(size_wh) - 1) / 2
     for bend in bends:
-        chains = Chain(body, place, float(bend)), Chain(body, second, float(bend))
-        first, other = (float(np.hypot(*(projection.picture(chain.end_xy) - centre))) for chain in chains)
-        if other < first + 0.06 * max(size_wh):
+        first, other = Chain(body, place, float(bend)), Chain(body, second, float(bend))
+        if (other.end_xy - first.end_xy) @ first.inward[0] < 0:
+            return False
+        near, far = (float(np.hypot(*(projection.picture(arm.end_xy) - centre))) for arm in (first, other))
+        if far < near + 0.06 * max(size_wh):
             return False
     return True
 
