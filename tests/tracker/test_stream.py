@@ -99,7 +99,7 @@ def test_midline_is_the_middle_of_what_is_drawn(seed, bend):
         high = middle + np.argmin(dark[middle:])
         if dark[0] or dark[-1]:
             continue
-        assert abs(steps[low] + steps[high]) / 2 < 0.7
+        assert abs(steps[low] + steps[high]) / 2 < 0.25
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -112,7 +112,7 @@ def test_body_begins_at_base_1_and_ends_at_tip_2(seed, bend):
         outward = points[end] - points[inside]
         steps, values = along_line(image, points[end], outward / np.hypot(*outward), 3.0)
         edge = steps[np.argmax(values < 0.5)]
-        assert abs(edge) < 0.8, (end, edge)
+        assert abs(edge) < 0.7, (end, edge)
 
 
 def test_angle_is_that_of_the_two_vectors(drawn):
@@ -223,23 +223,35 @@ def test_what_lies_outside_is_not_visible(drawn):
         out = (x < -0.5) | (y < -0.5) | (x > 255.5) | (y > 255.5)
         assert not sample.visible[out].any()
         outside += out.sum()
-    assert outside > 20
+    assert outside > 10
 
 
 def test_a_body_over_itself_hides_the_half_behind():
-    found = 0
+    changed = seen = 0
     for index in range(40):
         look = stark(drawn_look(10, index, families=EVEN, bend_deg=(268, 268), size_wh=(200, 200)))
-        samples = [
-            Stage(dc.replace(look, body=dc.replace(look.body, tip_over=over))).frame(268)
-            for over in (True, False)
-        ]
-        tip_over, base_over = (sample.visible for sample in samples)
-        # Seen from behind, what lies before and what behind change places.
-        assert tip_over[5:].sum() >= base_over[5:].sum()
-        assert base_over[:4].sum() >= tip_over[:4].sum()
-        found += int((tip_over != base_over).any())
-    assert found >= 3
+        # The tip is of another colour than the rest.
+        look = dc.replace(
+            look,
+            body=dc.replace(look.body, cap="cap", cap_share=0.1),
+            surface=dc.replace(look.surface, cap_colour=(1.0, 0.1, 0.1)),
+        )
+        over, under = (
+            Stage(dc.replace(look, body=dc.replace(look.body, tip_over=tip_over))).frame(268)
+            for tip_over in (True, False)
+        )
+        # Turned over, what lies before and what behind change places.
+        assert over.visible[5:].sum() >= under.visible[5:].sum()
+        assert over.visible[:4].sum() <= under.visible[:4].sum()
+        changed += int((over.visible != under.visible).any())
+        if over.visible[8] and not under.visible[8]:
+            inside = over.keypoints_xy[8] + 0.1 * (over.keypoints_xy[7] - over.keypoints_xy[8])
+            (x, y), (u, v) = np.round([inside, under.keypoints_xy[8]]).astype(int)
+            assert over.picture[y, x, 0] > 100
+            assert under.picture[v - 1 : v + 2, u - 1 : u + 2, 0].min() < 60
+            seen += 1
+    assert changed >= 3
+    assert seen >= 1
 
 
 def test_mirrored_and_enlarged_looks_keep_their_truth():

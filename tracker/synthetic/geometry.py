@@ -110,7 +110,7 @@ class ArcChain:
         dtype = x.dtype
 
         def of(table: FloatArray) -> FloatArray:
-            return table.astype(dtype)[piece]
+            return table.astype(dtype).take(piece)
 
         dx, dy = x - of(origin[:, 0]), y - of(origin[:, 1])
         c, d = of(cos), of(sin)

@@ -52,9 +52,8 @@ def _plain(
         + spread * rng.standard_normal((cells, cells, 1))
         + 0.25 * spread * rng.standard_normal((cells, cells, 3))
     )
-    coarse = np.clip(255 * np.asarray(colour) * level, 0, 255).astype(np.float32)
-    fine = cv2.resize(coarse, size_wh, interpolation=cv2.INTER_LINEAR if cells < 3 else cv2.INTER_CUBIC)
-    return cv2.convertScaleAbs(np.maximum(fine, 0) if cells > 2 else fine)
+    coarse = np.clip(255 * np.asarray(colour) * level, 0, 255).astype(np.uint8)
+    return cv2.resize(coarse, size_wh, interpolation=cv2.INTER_LINEAR if cells < 3 else cv2.INTER_CUBIC)
 
 
 def _rules(size_wh: Size, pitch_px: float, turn_deg: float, offset: float) -> FloatArray:

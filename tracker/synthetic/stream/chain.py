@@ -134,9 +134,10 @@ class Projection:
 
 def turn_in_picture_deg(keypoints_xy: FloatArray, midline_xy: FloatArray) -> float:
     """Turn from base_2 - base_1 to tip_2 - tip_1, clockwise on the screen positive, whole turns from the midline."""
-    steps = np.diff(midline_xy, axis=0)
-    heading = np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))
+    step = np.diff(midline_xy, axis=0)
+    x, y, next_x, next_y = step[:-1, 0], step[:-1, 1], step[1:, 0], step[1:, 1]
+    along_body = float(np.arctan2(x * next_y - y * next_x, x * next_x + y * next_y).sum())
     base, tip = keypoints_xy[1] - keypoints_xy[0], keypoints_xy[8] - keypoints_xy[7]
     turn = math.atan2(tip[1], tip[0]) - math.atan2(base[1], base[0])
-    whole = round((heading[-1] - heading[0] - turn) / (2 * math.pi))
+    whole = round((along_body - turn) / (2 * math.pi))
     return math.degrees(turn + 2 * math.pi * whole)

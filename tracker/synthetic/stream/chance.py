@@ -13,7 +13,8 @@ from .chain import Chain, Projection, opposite, tightest
 from .coat import INNER, OUTER
 from .dice import Dice
 from .families import TRAINING, Families, Words
-from .look import Body, Colour, Light, Look, Place, Scene, Sensor, Surface, View
+from .filming import drawn_light, drawn_sensor, drawn_view
+from .look import Body, Colour, Look, Place, Scene, Sensor, Surface, View
 
 # The body's inner side must not fold: largest product of curvature and half thickness.
 _TIGHTEST = 0.72
@@ -21,6 +22,9 @@ _TIGHTEST = 0.72
 _THINNEST_PX = 4.5
 # Arms that bend toward each other as far as this would lie in each other's way.
 _ARMS_CROSS_DEG = 130
+# How much of the clamp, in half thicknesses, and how often.
+_CLAMP = 1.8
+_HELD_IN_SIGHT = 0.85
 # Colours nearer than this are hard to tell apart.
 _SEEN = 0.22
 
@@ -52,10 +56,10 @@ def drawn_look(
         )
     )
     body, surface = drawn_body(words.shape, dice, bend_deg), drawn_surface(words.material, dice)
-    view = _view(dice)
-    sensor = _sensor(dice, size_wh)
+    view = drawn_view(dice)
+    sensor = drawn_sensor(dice, size_wh)
     body, place = _placed(body, view, size_wh, bend_deg, dice, partly_out)
-    light = _light(dice, body, size_wh)
+    light = drawn_light(dice, body, size_wh)
     scene = _scene(words, surface, body, sensor, dice, size_wh)
     if _contrast(surface.cap_colour, scene.colour, sensor.kind == "colour") < _SEEN:
         # A cap that cannot be told from the background would seem to shorten the body.
@@ -67,7 +71,7 @@ def drawn_look(
 
 def in_other_light(look: Look, seed: int) -> Look:
     """The same body and camera at the same place on the same bench under other lamps, otherwise exposed."""
-    return replace(look, light=_light(Dice(seed, look.scene.seed, 8), look.body, look.size_wh))
+    return replace(look, light=drawn_light(Dice(seed, look.scene.seed, 8), look.body, look.size_wh))
 
 
 def before_other_background(look: Look, seed: int) -> Look:
@@ -81,16 +85,6 @@ def before_other_background(look: Look, seed: int) -> Look:
         tube_colour=kept.tube_colour, tube_px=kept.tube_px, occluders=kept.occluders,
     )  # fmt: skip
     return replace(look, words=words, scene=scene)
-
-
-def _view(dice: Dice) -> View:
-    tilted, bowed = dice.maybe(0.6), dice.maybe(0.4)
-    return View(
-        tilt_x_deg=dice.about(0, 12) if tilted else 0.0,
-        tilt_y_deg=dice.about(0, 12) if tilted else 0.0,
-        nearness=dice.between(0.0, 0.8) if tilted else 0.0,
-        lens=dice.about(-0.05, 0.12) if bowed else 0.0,
-    )
 
 
 def _placed(
@@ -113,8 +107,13 @@ def _placed(
     line = np.concatenate([point for chain in chains for point in (chain.origin, chain.end_xy[None])])
     normals = np.concatenate([way for chain in chains for way in (chain.inward, chain.inward[-1:])])
 
+    # Mostly something of the clamp is seen too: without it, which end is held could not be told.
+    clamp = _CLAMP if dice.maybe(_HELD_IN_SIGHT) else 0.0
+    behind = -clamp * chains[0].along[0] + np.array([[-1.0], [1.0]]) * chains[0].inward[0]
+
     def outline(length: float, half: float) -> FloatArray:
-        return np.concatenate([line * length - half * normals, line * length + half * normals])
+        middle = line * length
+        return np.concatenate([middle - half * normals, middle + half * normals, half * behind])
 
     size = np.asarray(size_wh)
     extent = np.ptp(outline(1.0, body.half_px), axis=0)
@@ -133,7 +132,7 @@ def _placed(
             room = np.maximum(size - 1 - (far - corner), 0)
             aim = room * dice.rng.random(2)
             if dice.maybe(partly_out):
-                axis, beyond = dice.whole(0, 1), dice.between(0.08, 0.45) * (far - corner)
+                axis, beyond = dice.whole(0, 1), dice.between(0.1, 0.42) * (far - corner)
                 aim[axis] = room[axis] + beyond[axis] if dice.maybe(0.5) else -beyond[axis]
         base = base + aim - corner
     place = replace(place, base_xy=(float(base[0]), float(base[1])))
@@ -141,63 +140,25 @@ def _placed(
         thick = 2 * body.half_px
         aside = dice.between(1.3, 2.5) * thick + dice.between(0, 0.5) * body.length_px
         gripper = replace(place, second_arm=(dice.about(0, 0.1) * thick, aside, dice.between(-8, 45)))
-        if _labelled_is_nearer(body, gripper, view, size_wh, bends):
+        if _arms_fit(body, gripper, view, size_wh, bends):
             place = gripper
     return body, place
 
 
-def _labelled_is_nearer(
-    body: Body, place: Place, view: View, size_wh: tuple[int, int], bends: FloatArray
-) -> bool:
-    """Of two arms the labelled one must be the one whose tip is nearer to the middle of the picture, at every bend."""
+def _arms_fit(body: Body, place: Place, view: View, size_wh: tuple[int, int], bends: FloatArray) -> bool:
+    """Whether two arms can be drawn: they do not cross, and the labelled tip is the nearer to the middle, always."""
     second = opposite(place)
     if second is None:
         return True
     projection, centre = Projection(view, size_wh), (np.asarray(size_wh) - 1) / 2
     for bend in bends:
-        chains = Chain(body, place, float(bend)), Chain(body, second, float(bend))
-        first, other = (float(np.hypot(*(projection.picture(chain.end_xy) - centre))) for chain in chains)
-        if other < first + 0.06 * max(size_wh):
+        first, other = Chain(body, place, float(bend)), Chain(body, second, float(bend))
+        if (other.end_xy - first.end_xy) @ first.inward[0] < 0:
+            return False
+        near, far = (float(np.hypot(*(projection.picture(arm.end_xy) - centre))) for arm in (first, other))
+        if far < near + 0.06 * max(size_wh):
             return False
     return True
-
-
-def _light(dice: Dice, body: Body, size_wh: tuple[int, int]) -> Light:
-    unit = max(size_wh) / 256
-    warm = dice.about(0, 0.09) if dice.maybe(0.7) else dice.about(0, 0.2)
-    green = dice.about(0, 0.03)
-    hard = dice.maybe(0.4)
-    exposure = dice.between(0.85, 1.15) if dice.maybe(0.7) else dice.steeply(0.55, 1.6)
-    return Light(
-        azimuth_deg=dice.between(0, 360),
-        elevation_deg=dice.between(25, 72),
-        ambient=dice.between(0.3, 0.8),
-        tint=(1 + warm, 1 + green, 1 - warm),
-        gradient=dice.between(0, 0.4) if dice.maybe(0.6) else 0.0,
-        vignette=dice.between(0, 0.3) if dice.maybe(0.5) else 0.0,
-        shadow=dice.between(0.15, 0.7),
-        shadow_px=dice.between(0.2, 1.6) * body.half_px,
-        softness_px=(dice.between(0.5, 2) if hard else dice.between(2, 9)) * unit,
-        gain=exposure,
-        gamma=dice.between(0.8, 1.25),
-    )
-
-
-def _sensor(dice: Dice, size_wh: tuple[int, int]) -> Sensor:
-    unit = max(size_wh) / 256
-    kind = dice.between(0, 1)
-    return Sensor(
-        kind="colour" if kind < 0.84 else "grey" if kind < 0.93 else "infrared",
-        blur_px=dice.between(0.0, 1.0) if dice.maybe(0.8) else dice.between(1.0, 2.3) * math.sqrt(unit),
-        motion_px=dice.between(2, 7) if dice.maybe(0.12) else 0.0,
-        motion_deg=dice.between(0, 180),
-        sharpening=dice.between(0.2, 1.0) if dice.maybe(0.3) else 0.0,
-        noise=dice.steeply(0.6, 5) if dice.maybe(0.88) else dice.between(5, 12),
-        noise_cell=dice.one_of((1.0, 1.0, 2.0)),
-        jpeg_quality=dice.whole(18, 92) if dice.maybe(0.65) else 0,
-        subsampled=dice.maybe(0.7),
-        shrink=dice.between(1.3, 2.2) if dice.maybe(0.12) else 1.0,
-    )
 
 
 def _background_colour(word: str, dice: Dice) -> Colour:

@@ -101,7 +101,7 @@ def _clip(colour: Colour, local: Local, thick: float, painter: Painter) -> None:
     wide, deep, narrow = rng.uniform(0.8, 1.6), -rng.uniform(0.7, 1.1), rng.uniform(0.5, 0.9)
     outline = np.array([[0, -wide], [0, wide], [deep, narrow * wide], [deep, -narrow * wide]])
     painter.fill(local(outline), colour, ramp=0.35)
-    _line(picture, local(outline[:2] - (0.06, 0)), colour, 1.8, max(1, round(0.10 * thick)))
+    _line(picture, local(outline[:2] - (0.1, 0)), colour, 1.8, max(1, round(0.10 * thick)))
     _line(picture, local(outline[2:]), colour, 1.3)
     arc = np.linspace(-np.pi / 2, np.pi / 2, 14)
     loop = np.stack([deep - rng.uniform(0.6, 1.2) * np.cos(arc), 0.4 * wide * np.sin(arc)], axis=1)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...types import FloatArray, ImageArray
 from .chain import Chain
-from .look import Body, Light, Surface
+from .look import Body, Colour, Light, Surface
 from .noise import cut
 
 # How far the texture reaches beyond the midline, in half thicknesses: inner and outer side.
@@ -74,6 +74,35 @@ def _valley(body: Body, place: FloatArray, pitch_texels: float) -> FloatArray:
     return np.zeros_like(place)
 
 
+@dataclass(frozen=True)
+class _Grid:
+    """Where the texels are, and what of the body's shape depends on s alone; arrays (U,), v (V, 1).
+
+    Attributes
+    ----------
+    half : half thickness, px
+    place, inside : see `_chambers`
+    valley : depth of the valley between chambers, 0 to 1
+    lobe : how far each chamber swells at full pressure, relative
+    top, bottom : the outline, in v
+    """
+
+    s: FloatArray
+    v: FloatArray
+    per_px: float
+    half: FloatArray
+    place: FloatArray
+    inside: FloatArray
+    valley: FloatArray
+    lobe: FloatArray
+    top: FloatArray
+    bottom: FloatArray
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return len(self.v), len(self.s)
+
+
 def coat(
     body: Body, surface: Surface, light: Light, chain: Chain, pressure: float, supersampling: float
 ) -> Coat:
@@ -86,97 +115,33 @@ def coat(
     supersampling : texels wanted for a px
     """
     rng = np.random.default_rng([body.seed, 2])
-    hidden = hidden_px(body)
-    area = (chain.length_px + hidden) * (INNER + OUTER) * body.half_px
-    per_px = float(min(supersampling, max(np.sqrt(_MOST_TEXELS / area), 0.8)))
-    per_half = per_px * body.half_px
-    s = (np.arange(int((chain.length_px + hidden + 3) * per_px) + 1) / per_px - hidden).astype(np.float32)
-    v = (np.arange(int((INNER + OUTER) * per_half) + 2) / per_half - INNER).astype(np.float32)[:, None]
-    half = chain.half_px_at(s).astype(np.float32)
-    end_half = float(half[-1])
-    shape = (len(v), len(s))
-
-    place, swelling, inside = _chambers(body, s, chain)
-    pitch_px = float(chain.keypoint_s[7] - chain.keypoint_s[1]) / body.chambers
-    valley = (_valley(body, place, pitch_px * per_px) * inside).astype(np.float32)
-    lobe = np.sin(np.pi * place) * inside * swelling
-    has_valleys = body.valley != "none"
-    top = 1 - 2 * body.depth * valley + body.swell * pressure * (lobe if has_valleys else inside * 0.6)
-    bottom = 1 - 2 * body.depth * valley if body.two_sided else np.ones_like(s)
-    cap_s = chain.length_px * (1 - body.cap_share)
-    if body.cap == "cap":
-        top, bottom = (np.where(s > cap_s, 1.1, side) for side in (top, bottom))
-    corner = max(body.tip_round * end_half, 0.5)
-    closing = np.sqrt(1 - np.square(_clipped((s - chain.length_px + corner) / corner, 0, 1)))
-    # Everything from here on has the texture's size: single precision.
-    top = (np.minimum(top, OUTER - 0.05) * closing).astype(np.float32)
-    bottom = (bottom * closing).astype(np.float32)
-
+    grid = _grid(body, chain, pressure, supersampling)
+    s, v = grid.s, grid.v
     # Distance to the outline, px, positive inside.
-    depth = np.minimum((top - v) * half, (v + bottom) * half)
+    depth = np.minimum((grid.top - v) * grid.half, (v + grid.bottom) * grid.half)
     depth = np.minimum(depth, np.float32(chain.length_px) - s)
-    cover = _clipped(depth * np.float32(per_px) + np.float32(0.5), 0, 1)
-    rim_px = np.maximum(body.rim * np.minimum(half * 0.5 * (top + bottom), half * 1.2), 1.0)
-    edge = _clipped(1 - depth / rim_px, 0, 1)
+    cover = _clipped(depth * np.float32(grid.per_px) + np.float32(0.5))
+    rim_px = np.maximum(
+        body.rim * np.minimum(grid.half * 0.5 * (grid.top + grid.bottom), grid.half * 1.2), 1.0
+    )
+    edge = _clipped(1 - depth / rim_px)
+    thread = _thread(body, chain, grid)
     relief = rim_px * np.sqrt(1 - edge * edge)
     if body.swell and body.rim < 0.9:
-        relief += (np.float32(0.5 * pressure * body.swell) * half * lobe) * np.sqrt(np.maximum(1 - v * v, 0))
-    thread = np.zeros((1, 1), np.float32)
-    if body.windings:
-        turns = s / (chain.length_px / body.windings)
-        thread = np.zeros(shape, np.float32)
-        for slant in (body.slant, -body.slant) if body.crossed else (body.slant,):
-            away = np.abs((turns + slant * v) % 1 - 0.5)
-            thread = np.maximum(thread, _clipped((0.16 - away) * 8, 0, 1))
-        thread *= (s > 0.3 * chain.keypoint_s[1]) & (s < 0.5 * (chain.keypoint_s[7] + chain.length_px))
+        bulge = np.float32(0.5 * pressure * body.swell) * grid.half * grid.lobe
+        relief += bulge * np.sqrt(np.maximum(1 - v * v, 0))
+    if thread is not None:
         relief -= (0.06 * body.half_px) * thread
     if surface.pattern == "layers":
         relief += np.float32(0.22) * np.sin(v * np.float32(2 * np.pi * max(body.half_px / 2.2, 2)))
     if surface.roughness:
-        relief += np.float32(surface.roughness) * cut(rng, shape, 12 if surface.pattern == "none" else 3)
+        relief += np.float32(surface.roughness) * cut(rng, grid.shape, 12 if surface.pattern == "none" else 3)
 
-    level, gloss = _lit(relief.astype(np.float32), s, body, surface, light, chain, per_px)
-    tone = level * (1 + np.float32(surface.grain) * cut(rng, shape, 24))
-    if surface.pattern == "weave":
-        tone *= 1 + np.float32(0.10) * np.sin(s * np.float32(2.4)) * np.sin(
-            v * np.float32(1.2 * body.half_px)
-        )
-    if has_valleys:
-        # Little light comes to the bottom of a valley, and a groove is seen where it runs across the body's face.
-        tone *= 1 - np.float32(0.30 if body.rim < 0.9 else 0.16) * valley * _clipped(v + 1.2, 0, 1)
-    # The body meets the clamp in a dark line.
-    tone *= 1 - np.float32(0.35) * np.exp(-np.square(s / np.float32(max(0.10 * body.half_px, 1.2))))
-    if surface.cavity:
-        across = (
-            _clipped((np.float32(0.34) - np.abs(place - 0.5)) * 9, 0, 1)
-            if has_valleys or body.valley == "none"
-            else 1
-        )
-        tone *= 1 - np.float32(surface.cavity) * (across * inside) * _clipped(
-            (np.float32(0.62) - np.abs(v - 0.08)) * 7, 0, 1
-        )
-        # Light leaves a translucent body at its rim.
-        tone += np.float32(0.10) * edge * edge
-
-    mixes: list[tuple[FloatArray, tuple[float, float, float]]] = []
-    if surface.pattern == "specks":
-        specks = _clipped((cut(rng, shape, 2.5) - 0.9) * 2.5, 0, 1)
-        mixes.append((specks, surface.thread_colour))
-    if body.layer:
-        at = np.float32(-1 + 2 * body.layer)
-        mixes.append((_clipped((at - v) * np.float32(per_half) + 0.5, 0, 1), surface.layer_colour))
-    if body.windings:
-        mixes.append((np.float32(0.85) * thread, surface.thread_colour))
-    if body.cap != "none":
-        start = cap_s if body.cap == "cap" else cap_s - 0.02 * chain.length_px
-        stop = chain.length_px if body.cap == "cap" else chain.length_px * (1 - 0.35 * body.cap_share)
-        band = _clipped(
-            (np.minimum(s - start, stop + (3 if body.cap == "cap" else 0) - s)) * per_px + 0.5, 0, 1
-        )
-        mixes.append(((band * 0.95)[None].astype(np.float32), surface.cap_colour))
-    opaque = np.float32(surface.opacity) + (1 - np.float32(surface.opacity)) * _clipped(
-        edge * 1.2 - 0.5, 0, 1
-    )
+    level, gloss = _lit(relief.astype(np.float32), s, surface, light, chain, grid.per_px)
+    tone = level * _tone(body, surface, grid, edge, rng)
+    mixes = _mixes(body, surface, chain, grid, thread, rng)
+    see_through = 1 - np.float32(surface.opacity)
+    opaque = np.float32(surface.opacity) + see_through * _clipped(edge * 1.2 - 0.5)
     for weight, _ in mixes:
         opaque = opaque + (1 - opaque) * weight
     alpha = cover * opaque * np.float32(255)
@@ -186,12 +151,102 @@ def coat(
         for weight, other in mixes:
             plane = plane + (np.float32(other[channel]) - plane) * weight
         planes.append(np.minimum(plane * tone + gloss, np.float32(1)) * alpha)
-    rgba = cv2.merge([np.broadcast_to(plane, shape).astype(np.float32) for plane in (*planes, alpha)])
-    return Coat(cv2.convertScaleAbs(np.maximum(rgba, 0)), -hidden, per_px, per_half)
+    rgba = cv2.convertScaleAbs(cv2.merge([*planes, alpha]))
+    return Coat(rgba, -hidden_px(body), grid.per_px, grid.per_px * body.half_px)
+
+
+def _grid(body: Body, chain: Chain, pressure: float, supersampling: float) -> _Grid:
+    hidden = hidden_px(body)
+    area = (chain.length_px + hidden) * (INNER + OUTER) * body.half_px
+    per_px = float(min(supersampling, max(np.sqrt(_MOST_TEXELS / area), 0.8)))
+    per_half = per_px * body.half_px
+    s = (np.arange(int((chain.length_px + hidden + 3) * per_px) + 1) / per_px - hidden).astype(np.float32)
+    v = (np.arange(int((INNER + OUTER) * per_half) + 2) / per_half - INNER).astype(np.float32)[:, None]
+    half = chain.half_px_at(s).astype(np.float32)
+    place, swelling, inside = _chambers(body, s, chain)
+    pitch_px = float(chain.keypoint_s[7] - chain.keypoint_s[1]) / body.chambers
+    valley = (_valley(body, place, pitch_px * per_px) * inside).astype(np.float32)
+    lobe = np.sin(np.pi * place) * inside * swelling
+    # Without valleys the whole body swells, as far as its ends let it.
+    swelling_v = lobe if body.valley != "none" else inside * 0.6
+    top = 1 - 2 * body.depth * valley + body.swell * pressure * swelling_v
+    bottom = 1 - 2 * body.depth * valley if body.two_sided else np.ones_like(s)
+    if body.cap == "cap":
+        top, bottom = (
+            np.where(s > chain.length_px * (1 - body.cap_share), 1.1, side) for side in (top, bottom)
+        )
+    corner = max(body.tip_round * float(half[-1]), 0.5)
+    closing = np.sqrt(1 - np.square(_clipped((s - chain.length_px + corner) / corner)))
+    # Everything from here on has the texture's size: single precision.
+    top = (np.minimum(top, OUTER - 0.05) * closing).astype(np.float32)
+    bottom = (bottom * closing).astype(np.float32)
+    return _Grid(s, v, per_px, half, place, inside, valley, lobe, top, bottom)
+
+
+def _thread(body: Body, chain: Chain, grid: _Grid) -> FloatArray | None:
+    """Where the windings run, 0 to 1, (V, U); None without any."""
+    if not body.windings:
+        return None
+    turns = grid.s / (chain.length_px / body.windings)
+    thread = np.zeros(grid.shape, np.float32)
+    for slant in (body.slant, -body.slant) if body.crossed else (body.slant,):
+        away = np.abs((turns + slant * grid.v) % 1 - 0.5)
+        thread = np.maximum(thread, _clipped((0.16 - away) * 8))
+    first, last = 0.3 * chain.keypoint_s[1], 0.5 * (chain.keypoint_s[7] + chain.length_px)
+    thread *= (grid.s > first) & (grid.s < last)
+    return thread
+
+
+def _tone(
+    body: Body, surface: Surface, grid: _Grid, edge: FloatArray, rng: np.random.Generator
+) -> FloatArray:
+    """What the colour is multiplied with besides the light, (V, U)."""
+    s, v = grid.s, grid.v
+    tone = 1 + np.float32(surface.grain) * cut(rng, grid.shape, 24)
+    if surface.pattern == "weave":
+        across = np.sin(v * np.float32(1.2 * body.half_px))
+        tone *= 1 + np.float32(0.10) * np.sin(s * np.float32(2.4)) * across
+    if body.valley != "none":
+        # Little light comes to the bottom of a valley, and a groove is seen where it runs across the body's face.
+        tone *= 1 - np.float32(0.30 if body.rim < 0.9 else 0.16) * grid.valley * _clipped(v + 1.2)
+    # The body meets the clamp in a dark line.
+    tone *= 1 - np.float32(0.35) * np.exp(-np.square(s / np.float32(max(0.10 * body.half_px, 1.2))))
+    if surface.cavity:
+        along = _clipped((np.float32(0.34) - np.abs(grid.place - 0.5)) * 9) * grid.inside
+        tone *= 1 - np.float32(surface.cavity) * along * _clipped((np.float32(0.62) - np.abs(v - 0.08)) * 7)
+        # Light leaves a translucent body at its rim.
+        tone += np.float32(0.10) * edge * edge
+    return tone
+
+
+def _mixes(
+    body: Body,
+    surface: Surface,
+    chain: Chain,
+    grid: _Grid,
+    thread: FloatArray | None,
+    rng: np.random.Generator,
+) -> list[tuple[FloatArray, Colour]]:
+    """What lies over the body's own colour, one over the other: coverage 0 to 1, and colour."""
+    s, mixes = grid.s, []
+    if surface.pattern == "specks":
+        mixes.append((_clipped((cut(rng, grid.shape, 2.5) - 0.9) * 2.5), surface.thread_colour))
+    if body.layer:
+        inward = np.float32(-1 + 2 * body.layer) - grid.v
+        mixes.append((_clipped(inward * np.float32(grid.per_px * body.half_px) + 0.5), surface.layer_colour))
+    if thread is not None:
+        mixes.append((np.float32(0.85) * thread, surface.thread_colour))
+    if body.cap != "none":
+        start, stop = chain.length_px * (1 - body.cap_share), chain.length_px + 3
+        if body.cap == "tape":
+            start, stop = start - 0.02 * chain.length_px, chain.length_px * (1 - 0.35 * body.cap_share)
+        band = _clipped(np.minimum(s - start, stop - s) * grid.per_px + 0.5)
+        mixes.append(((band * 0.95)[None].astype(np.float32), surface.cap_colour))
+    return mixes
 
 
 def _lit(
-    relief: FloatArray, s: FloatArray, body: Body, surface: Surface, light: Light, chain: Chain, per_px: float
+    relief: FloatArray, s: FloatArray, surface: Surface, light: Light, chain: Chain, per_px: float
 ) -> tuple[FloatArray, FloatArray]:
     """Light on each texel, around 1 where the body faces the lens, and the highlight that is added."""
     azimuth, elevation = np.radians(light.azimuth_deg), np.radians(light.elevation_deg)

@@ -104,26 +104,30 @@ def _drawn(
             (columns.astype(np.float32) + 0.5) * np.float32(1 / fine) + np.float32(low[0] - 0.5),
             (rows.astype(np.float32) + 0.5) * np.float32(1 / fine) + np.float32(low[1] - 0.5),
         )
-        s, t = chain.body_coordinates(x, y, owner.ravel()[index].astype(np.intp) - 1)
+        s, t = chain.body_coordinates(x, y, owner.ravel().take(index).astype(np.intp) - 1)
         taken = (s - np.float32(coat.s0)) * np.float32(coat.per_px)
         across = np.asarray(t / chain.half_px_at(s), np.float32)
         v = (across + np.float32(INNER)) * np.float32(coat.per_half)
         if span is not None:
             taken = np.where((s >= span[0]) & (s < span[1]), taken, np.float32(_FAR))
-        rgba.reshape(-1, 4)[index] = _looked_up(coat.rgba, taken, v)
+        # The four bytes of a px move as one number.
+        rgba.view(np.uint32).ravel()[index] = _looked_up(coat.rgba, taken, v)
+    if fine == 1:
+        return Layer(int(low[0]), int(low[1]), rgba)
     size = (box[1] // fine, box[0] // fine)
     return Layer(int(low[0]), int(low[1]), cv2.resize(rgba, size, interpolation=cv2.INTER_AREA))
 
 
-def _looked_up(texture: NDArray[np.uint8], u: FloatArray, v: FloatArray) -> NDArray[np.uint8]:
-    """Texture at a list of places, (N, 4); OpenCV wants them as a picture."""
+def _looked_up(texture: NDArray[np.uint8], u: FloatArray, v: FloatArray) -> NDArray[np.uint32]:
+    """Texture at a list of places, its four bytes as one number, (N,); OpenCV wants the places as a picture."""
     wide = 256
     room = -(-len(u) // wide) * wide
-    maps = np.full((2, room), np.float32(_FAR))
+    maps = np.empty((2, room), np.float32)
     maps[0, : len(u)], maps[1, : len(v)] = u, v
+    maps[:, len(u) :] = _FAR
     found = cv2.remap(
         texture, maps[0].reshape(-1, wide), maps[1].reshape(-1, wide), cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_CONSTANT, borderValue=(0, 0, 0, 0),
     )  # fmt: skip
-    result: NDArray[np.uint8] = found.reshape(-1, 4)[: len(u)]
+    result: NDArray[np.uint32] = found.view(np.uint32).ravel()[: len(u)]
     return result

@@ -53,11 +53,11 @@ def _sensor_pool(cell_px: float) -> FloatArray:
 
 
 def sensor_noise(rng: np.random.Generator, shape: tuple[int, int], cell_px: float) -> FloatArray:
-    """Noise of unit variance as a colour camera has it, (h, w, 3) float32."""
+    """Noise of unit variance as a colour camera has it, (h, w, 3) float32; read it only."""
     pool = _sensor_pool(float(cell_px))
     rows, columns = shape
     if rows > _SIDE - 8 or columns > _SIDE - 8:
         pool = np.tile(pool, (-(-(rows + 8) // _SIDE), -(-(columns + 8) // _SIDE), 1))
     top = int(rng.integers(pool.shape[0] - rows + 1))
     left = int(rng.integers(pool.shape[1] - columns + 1))
-    return np.ascontiguousarray(pool[top : top + rows, left : left + columns])
+    return pool[top : top + rows, left : left + columns]
