@@ -16,8 +16,9 @@ from .live_command import live
 from .network_commands import evaluate, train
 from .pretrain_command import pretrain
 from .project_commands import export_labels, import_labels, new
+from .render_command import render
 from .study_commands import analyze
-from .video_commands import render, track
+from .track_command import track
 
 __all__ = ["main"]
 

@@ -37,7 +37,7 @@ def demo(
     from .engines import load_network
     from .network_commands import project_settings, train_network
     from .project_commands import print_report
-    from .video_commands import track_videos
+    from .tracking_runs import track_videos
 
     begun = time.monotonic()
     trial = out / "trial"

@@ -10,7 +10,7 @@ import typer
 
 from . import talk
 from .project_commands import ProjectArgument
-from .video_commands import listed_videos
+from .tracking_runs import listed_videos
 
 
 class Spread(StrEnum):

@@ -21,7 +21,7 @@ from ..errors import BendtrackError, ResultsError
 from . import model_folders, talk
 from .engines import DeviceOption, EngineOption, ModelOption, ThreadsOption, load_network, measured_angle
 from .project_commands import ProjectArgument
-from .video_commands import size_wh
+from .render_command import size_wh
 
 if TYPE_CHECKING:
     from ...models.detector import NetworkDetector

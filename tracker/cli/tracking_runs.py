@@ -1,4 +1,4 @@
-"""Commands about videos: track, render."""
+"""Tracking of many videos into a folder: what is up to date is passed over, what fails does not stop the others."""
 
 from __future__ import annotations
 
@@ -8,14 +8,11 @@ import time
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from ..errors import BendtrackError, VideoError, reason
-from . import model_folders, talk
-from .engines import DeviceOption, EngineOption, ModelOption, ThreadsOption, load_network, measured_angle
-from .project_commands import ProjectArgument
+from . import talk
+from .engines import measured_angle
 
 if TYPE_CHECKING:
     from ...models.detector import NetworkDetector
@@ -26,46 +23,6 @@ if TYPE_CHECKING:
 
 _OVERLAY = "overlay"
 """In the name of an overlay that could be taken for a video of the user's."""
-
-
-def track(
-    project: ProjectArgument,
-    videos: Annotated[
-        list[str], typer.Argument(help="Files, folders of videos, or patterns such as 'day1/*.mp4'.")
-    ],
-    model: ModelOption = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Where the results go.", show_default="PROJECT/results")
-    ] = None,
-    overlay: Annotated[
-        bool, typer.Option("--overlay", help="Also write a video with what was found drawn on it.")
-    ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Also what is up to date.")] = False,
-    engine: EngineOption = "auto",
-    device: DeviceOption = "auto",
-    threads: ThreadsOption = None,
-) -> None:
-    """Measure the bending angle over time in videos.
-
-    Writes a table (CSV, HDF5), a figure, and how they came about (JSON). What is up to date is passed over: the same
-    video, network and settings. Exit status 1 when a video failed or is damaged; the others are done.
-    """
-    from ..project import Project
-
-    opened = Project.open(project)
-    paths = listed_videos(videos)
-    folder = out or opened.results_dir
-    _check_writable(folder)
-    network = load_network(model_folders.chosen(opened, model), engine, device, threads)
-    problems = track_videos(opened, network, paths, folder, overlay=overlay, force=force)
-    if problems:
-        if len(paths) > 1:
-            talk.complain(
-                f"{len(problems)} of {len(paths)} videos failed or are damaged, the others are done:"
-            )
-        for path, problem in problems.items():
-            talk.complain(f"{path}: {problem}")
-        raise typer.Exit(1)
 
 
 def listed_videos(names: list[str]) -> list[Path]:
@@ -236,7 +193,7 @@ def _beside(folder: Path, stem: str, suffix: str, word: str, video: Path) -> Pat
     return path
 
 
-def _check_writable(folder: Path) -> None:
+def check_writable(folder: Path) -> None:
     """Find out now, not after an hour, whether results can be written."""
     folder.mkdir(parents=True, exist_ok=True)
     probe = folder / f".{secrets.token_hex(6)}.tmp"
@@ -248,71 +205,3 @@ def _check_writable(folder: Path) -> None:
         ) from error
     finally:
         probe.unlink(missing_ok=True)
-
-
-def render(
-    out: Annotated[Path, typer.Argument(help="A new folder.", metavar="OUT")],
-    seed: Annotated[int, typer.Option(help="Draws the look and the noise.")] = 0,
-    wave: Annotated[str | None, typer.Option(help="triangle or staircase.")] = None,
-    frequency_hz: Annotated[float | None, typer.Option(help="Of the triangle.")] = None,
-    cycles: Annotated[float | None, typer.Option(help="Of the triangle.")] = None,
-    step_kpa: Annotated[float | None, typer.Option(help="Of the staircase.")] = None,
-    hold_s: Annotated[float | None, typer.Option(help="How long the staircase rests on a step.")] = None,
-    pressure_peak_kpa: Annotated[float | None, typer.Option(help="The largest pressure.")] = None,
-    angle_min_deg: Annotated[float | None, typer.Option(help="Angle at zero pressure.")] = None,
-    angle_max_deg: Annotated[float | None, typer.Option(help="Angle at the largest pressure.")] = None,
-    hysteresis_ratio: Annotated[float | None, typer.Option(help="Of every cycle of the triangle.")] = None,
-    frame_rate: Annotated[float | None, typer.Option(help="Frames per second.")] = None,
-    size: Annotated[str | None, typer.Option(help="Of the frames, px, such as 640x480.")] = None,
-    end_vector_px: Annotated[float | None, typer.Option(help="Distance of the two points of an end.")] = None,
-    labels: Annotated[int, typer.Option(min=0, help="Also label so many frames (labels.csv).")] = 0,
-    noise_px: Annotated[float | None, typer.Option(help="Error of the labels.")] = None,
-) -> None:
-    """Render a synthetic trial with its exact truth.
-
-    A video, a pressure log, and the angle and the keypoints of every frame.
-    """
-    from ..synthetic.trial import labelled_sample, render_trial, write_labels
-    from . import progress_bars
-
-    given = {
-        "wave": wave,
-        "frequency_hz": frequency_hz,
-        "cycles": cycles,
-        "step_kpa": step_kpa,
-        "hold_s": hold_s,
-        "pressure_peak_kpa": pressure_peak_kpa,
-        "angle_min_deg": angle_min_deg,
-        "angle_max_deg": angle_max_deg,
-        "hysteresis_ratio": hysteresis_ratio,
-        "frame_rate": frame_rate,
-        "size_wh": None if size is None else size_wh(size),
-        "end_vector_px": end_vector_px,
-    }
-    settings: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-    if out.is_dir() and any(out.iterdir()):
-        raise BendtrackError(
-            f"expected a new or an empty folder to render into, got one with files in it: {out}"
-        )
-    with progress_bars.counting("rendering") as progress:
-        trial = render_trial(out, seed=seed, progress=progress, **settings)
-    if labels:
-        noise = {} if noise_px is None else {"noise_px": noise_px}
-        write_labels(trial, out / "labels.csv", *labelled_sample(trial, labels, seed=seed, **noise))
-    made = f"{out}: {len(trial.time_s)} frames, {trial.angle_deg.min():.1f} to {trial.angle_deg.max():.1f}°"
-    # A staircase rises once: there is no loop to speak of.
-    talk.say(made if wave == "staircase" else f"{made}, hysteresis ratio {trial.hysteresis_ratio:g}")
-    if labels:
-        talk.say(f"Next: bendtrack import PROJECT {out / 'labels.csv'} --video {trial.video_path}")
-
-
-def size_wh(text: str) -> tuple[int, int]:
-    """Width and height of a size such as 640x480.
-
-    >>> size_wh("640x480")
-    (640, 480)
-    """
-    width, _, height = text.lower().partition("x")
-    if not (width.isdigit() and height.isdigit()):
-        raise BendtrackError(f"--size: expected width x height in px such as 640x480, got '{text}'")
-    return int(width), int(height)

@@ -1,0 +1,53 @@
+"""The command `track`: which videos, which network, and what is said in the end."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from . import model_folders, talk
+from .engines import DeviceOption, EngineOption, ModelOption, ThreadsOption, load_network
+from .project_commands import ProjectArgument
+from .tracking_runs import check_writable, listed_videos, track_videos
+
+
+def track(
+    project: ProjectArgument,
+    videos: Annotated[
+        list[str], typer.Argument(help="Files, folders of videos, or patterns such as 'day1/*.mp4'.")
+    ],
+    model: ModelOption = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Where the results go.", show_default="PROJECT/results")
+    ] = None,
+    overlay: Annotated[
+        bool, typer.Option("--overlay", help="Also write a video with what was found drawn on it.")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Also what is up to date.")] = False,
+    engine: EngineOption = "auto",
+    device: DeviceOption = "auto",
+    threads: ThreadsOption = None,
+) -> None:
+    """Measure the bending angle over time in videos.
+
+    Writes a table (CSV, HDF5), a figure, and how they came about (JSON). What is up to date is passed over: the same
+    video, network and settings. Exit status 1 when a video failed or is damaged; the others are done.
+    """
+    from ..project import Project
+
+    opened = Project.open(project)
+    paths = listed_videos(videos)
+    folder = out or opened.results_dir
+    check_writable(folder)
+    network = load_network(model_folders.chosen(opened, model), engine, device, threads)
+    problems = track_videos(opened, network, paths, folder, overlay=overlay, force=force)
+    if problems:
+        if len(paths) > 1:
+            talk.complain(
+                f"{len(problems)} of {len(paths)} videos failed or are damaged, the others are done:"
+            )
+        for path, problem in problems.items():
+            talk.complain(f"{path}: {problem}")
+        raise typer.Exit(1)
