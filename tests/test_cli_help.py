@@ -11,7 +11,7 @@ from bendtrack.tracker.cli import app
 
 COMMANDS = (
     *("demo", "new", "frames", "label", "import", "export", "train", "evaluate", "track", "live"),
-    *("analyze", "render", "doctor"),
+    *("analyze", "render", "pretrain", "doctor"),
 )
 
 

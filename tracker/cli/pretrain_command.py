@@ -27,7 +27,7 @@ def pretrain(
 ) -> None:
     """Teach a network actuators in general, from rendered ones.
 
-    For days on two cores, an hour or two on a GPU; can be stopped at any time. `train --init OUT/weights.safetensors`
+    Many hours on two cores; can be stopped at any time. `train --init OUT/weights.safetensors`
     starts from what came of it, finished or not.
     """
     from ...models.header import WEIGHTS_FILE
