@@ -19,6 +19,7 @@ from .compiled import ENGINES, compiled_finder, engine_record
 from .finder import Finder
 from .following import Follower
 from .header import Header, read_header, weights_file
+from .sighting import OrientedFinder, sight
 
 TORCH = "torch"
 CHOICES = ("auto", *ENGINES, TORCH)
@@ -137,6 +138,25 @@ class NetworkDetector:
         h, w = frames[0].shape[:2]
         region = self.header.region_for((w, h))
         return self.header.calibrated(self._finder.detect(frames, region, self.header.partner), region)
+
+    def for_video(self, glimpses: Frames) -> NetworkDetector:
+        """This network for one video in which nobody has labelled anything, from frames spread over it.
+
+        Raises
+        ------
+        VideoError
+            No actuator can be seen.
+        """
+        seen = sight(glimpses, self.header, self._finder)
+        return NetworkDetector(
+            self.name,
+            seen.header,
+            OrientedFinder(self._finder.locate, self._finder.refine, seen.fixed, seen.fixed_xy),
+            sha256=self.sha256,
+            engine=self.engine,
+            device=self.device,
+            workers=self._workers,
+        )
 
     @property
     def workers(self) -> int:

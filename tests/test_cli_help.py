@@ -10,7 +10,7 @@ import pytest
 from bendtrack.tracker.cli import app
 
 COMMANDS = (
-    *("demo", "new", "frames", "label", "import", "export", "train", "evaluate", "track", "live"),
+    *("demo", "new", "frames", "label", "import", "export", "train", "evaluate", "track", "live", "angle"),
     *("analyze", "render", "pretrain", "doctor"),
 )
 

@@ -20,7 +20,7 @@ def is_up_to_date(
     stem: str,
     video_sha256: str,
     detector_provenance: Mapping[str, Any],
-    settings: Mapping[str, Any],
+    settings: Mapping[str, Any] | None,
 ) -> bool:
     """Whether tracking this video with this detector and these settings again would change nothing.
 
@@ -29,14 +29,16 @@ def is_up_to_date(
 
     Parameters
     ----------
-    settings : as `tracking.tracking_settings` gives them
+    settings : as `tracking.tracking_settings` gives them; None where they follow from video and detector
     """
     folder = Path(out_dir)
     try:
         record = read_record(folder / f"{stem}.json")
     except ResultsError:
         return False
-    expected = json_ready({"format": FORMAT, "detector": detector_provenance, "settings": settings})
+    expected = json_ready({"format": FORMAT, "detector": detector_provenance})
+    if settings is not None:
+        expected["settings"] = json_ready(settings)
     if any(record.get(key) != value for key, value in expected.items()):
         return False
     if _video_of(record) != video_sha256:

@@ -228,6 +228,27 @@ def read_frame(path: str | Path, index: int) -> ImageArray:
     raise VideoError(f"{path}: expected a frame index from 0 to {n_frames - 1}, got {index}")
 
 
+def spread_frames(path: str | Path, count: int) -> list[ImageArray]:
+    """At most `count` frames spread over a video, RGB uint8 (H, W, 3); fewer where it has fewer that can be decoded.
+
+    Raises
+    ------
+    VideoError
+        The file cannot be read.
+    """
+    kept: list[Frame] = []
+    step = 1
+    for frame in Video(path):
+        if frame.index % step or frame.decoded is None or frame.damaged:
+            continue
+        kept.append(frame)
+        # Nobody need say how long it is: when there are twice too many, every second one goes.
+        if len(kept) >= 2 * count:
+            kept, step = kept[::2], 2 * step
+    places = np.linspace(0, len(kept) - 1, min(count, len(kept))).astype(int).tolist()
+    return [image for image in (kept[i].image for i in places) if image is not None]
+
+
 def video_stem(path: str | Path) -> str:
     """Name of a video without folder and suffix, by which its labels and results are named.
 

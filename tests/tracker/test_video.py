@@ -16,7 +16,7 @@ import pytest
 
 from bendtrack.tracker.errors import VideoError
 from bendtrack.tracker.read_ahead import read_ahead
-from bendtrack.tracker.video import Video, file_sha256, read_frame, video_stem
+from bendtrack.tracker.video import Video, file_sha256, read_frame, spread_frames, video_stem
 from bendtrack.tracker.video_writer import VideoWriter
 
 FRAMES = 60
@@ -213,6 +213,17 @@ def test_read_frame_is_the_frame_of_that_index(arm_video, film):
         read_frame(arm_video, 60)
     with pytest.raises(VideoError, match="got -1"):
         read_frame(arm_video, -1)
+
+
+@pytest.mark.parametrize("count", [1, 7, 16, 60, 100])
+def test_spread_frames_reach_from_the_first_to_nearly_the_last(arm_video, film, count):
+    numbers = [film.frame_number(image) for image in spread_frames(arm_video, count)]
+    assert len(numbers) == min(count, FRAMES)
+    assert numbers == sorted(set(numbers))
+    assert numbers[0] == 0
+    if count > 1:
+        assert numbers[-1] >= FRAMES - 1 - FRAMES / count
+        assert np.ptp(np.diff(numbers)) <= np.diff(numbers).mean() + 1
 
 
 def test_names_and_hashes(tmp_path):

@@ -7,6 +7,7 @@ import sys
 import warnings
 from collections.abc import Callable
 
+from .angle_command import angle
 from .app import app
 from .demo_command import demo
 from .doctor_command import doctor
@@ -33,6 +34,7 @@ _COMMANDS: dict[str, Callable[..., None]] = {  # in the order of --help
     "evaluate": evaluate,
     "track": track,
     "live": live,
+    "angle": angle,
     "analyze": analyze,
     "render": render,
     "pretrain": pretrain,

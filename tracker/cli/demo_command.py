@@ -59,7 +59,8 @@ def demo(
         )
 
     talk.say("\n3. The angle in every frame of the video")
-    problems = track_videos(project, load_network(network), [video], project.results_dir, overlay=True)
+    detector = load_network(network)
+    problems = track_videos(detector, detector.header.definition, [video], project.results_dir, overlay=True)
     if problems:
         raise BendtrackError(f"{video}: {problems[video]}")
 

@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 
-from . import model_folders, talk
-from .engines import DeviceOption, EngineOption, ModelOption, ThreadsOption, load_network
+from . import model_folders
+from .engines import DeviceOption, EngineOption, ModelOption, ThreadsOption, load_network, measured_angle
 from .project_commands import ProjectArgument
-from .tracking_runs import check_writable, listed_videos, track_videos
+from .tracking_runs import check_writable, list_problems, listed_videos, track_videos
 
 
 def track(
@@ -42,12 +42,13 @@ def track(
     folder = out or opened.results_dir
     check_writable(folder)
     network = load_network(model_folders.chosen(opened, model), engine, device, threads)
-    problems = track_videos(opened, network, paths, folder, overlay=overlay, force=force)
-    if problems:
-        if len(paths) > 1:
-            talk.complain(
-                f"{len(problems)} of {len(paths)} videos failed or are damaged, the others are done:"
-            )
-        for path, problem in problems.items():
-            talk.complain(f"{path}: {problem}")
-        raise typer.Exit(1)
+    problems = track_videos(
+        network,
+        measured_angle(opened, network),
+        paths,
+        folder,
+        overlay=overlay,
+        force=force,
+        min_likelihood=opened.settings.tracking.min_likelihood,
+    )
+    list_problems(problems, paths)

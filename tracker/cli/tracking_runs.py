@@ -10,16 +10,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import typer
+
 from ..errors import BendtrackError, VideoError, reason
 from . import talk
-from .engines import measured_angle
 
 if TYPE_CHECKING:
     from ...models.detector import NetworkDetector
     from ..angle import AngleDefinition
-    from ..project import Project
     from ..results import AngleTable
-    from ..types import Detector
+
+GLIMPSES = 32
+"""Frames in which an actuator is looked for that nobody has labelled."""
 
 _OVERLAY = "overlay"
 """In the name of an overlay that could be taken for a video of the user's."""
@@ -65,12 +67,13 @@ class _Job:
 
     Attributes
     ----------
+    definition : the angle; None where the actuator is to be found in each video first
     drawing : draws a video's figure while the next one is tracked: of a short clip it takes as long as the frames
     drawn : what it was last asked for
     """
 
-    detector: Detector
-    definition: AngleDefinition
+    detector: NetworkDetector
+    definition: AngleDefinition | None
     folder: Path
     drawing: Executor
     options: dict[str, Any] = field(default_factory=dict)
@@ -84,15 +87,21 @@ class _Job:
 
 
 def track_videos(
-    project: Project,
     detector: NetworkDetector,
+    definition: AngleDefinition | None,
     videos: list[Path],
     folder: Path,
     *,
     overlay: bool,
     force: bool = False,
+    min_likelihood: float | None = None,
 ) -> dict[Path, str]:
     """Track videos one after the other and write tables, figures and overlays.
+
+    Parameters
+    ----------
+    definition : the angle; None finds the actuator in each video first, and measures the network's own
+    min_likelihood : as `tracking.track`'s, where the user wants another
 
     Returns
     -------
@@ -100,10 +109,9 @@ def track_videos(
     """
     talk.say(f"Network: {detector.name} ({detector.header.backbone}, {detector.engine} on {detector.device})")
     problems: dict[Path, str] = {}
+    options = {} if min_likelihood is None else {"min_likelihood": min_likelihood}
     with ThreadPoolExecutor(max_workers=1) as drawing:
-        job = _Job(detector, measured_angle(project, detector), folder, drawing)
-        if project.settings.tracking.min_likelihood is not None:
-            job.options["min_likelihood"] = project.settings.tracking.min_likelihood
+        job = _Job(detector, definition, folder, drawing, options)
         for video in videos:
             try:
                 damage = _track_one(job, video, overlay, force)
@@ -117,6 +125,17 @@ def track_videos(
     return problems
 
 
+def list_problems(problems: dict[Path, str], videos: list[Path]) -> None:
+    """Say which videos failed, last and together, and end with status 1 when some did."""
+    if not problems:
+        return
+    if len(videos) > 1:
+        talk.complain(f"{len(problems)} of {len(videos)} videos failed or are damaged, the others are done:")
+    for path, problem in problems.items():
+        talk.complain(f"{path}: {problem}")
+    raise typer.Exit(1)
+
+
 def _track_one(job: _Job, video: Path, overlay: bool, force: bool) -> str | None:
     """Bring one video's files up to date; what is wrong with the video, when its frames are not all there."""
     from ..atomic import remove_leftovers
@@ -124,7 +143,7 @@ def _track_one(job: _Job, video: Path, overlay: bool, force: bool) -> str | None
     from ..overlay import write_overlay
     from ..results import read_results, write_results
     from ..tracking import track, tracking_settings
-    from ..video import file_sha256
+    from ..video import file_sha256, spread_frames
     from . import progress_bars
 
     try:
@@ -142,7 +161,7 @@ def _track_one(job: _Job, video: Path, overlay: bool, force: bool) -> str | None
     overlay_path = _beside(job.folder, stem, ".mp4", _OVERLAY, video)
     for name in {stem, figure_path.stem, overlay_path.stem}:
         remove_leftovers(job.folder, name)
-    settings = tracking_settings(job.definition, **job.options)
+    settings = None if job.definition is None else tracking_settings(job.definition, **job.options)
     fresh = not force and is_up_to_date(job.folder, stem, sha256, job.detector.provenance, settings)
     table: AngleTable
     if fresh:
@@ -150,10 +169,12 @@ def _track_one(job: _Job, video: Path, overlay: bool, force: bool) -> str | None
         talk.say(f"{video}: up to date")
     else:
         begun = time.monotonic()
+        detector, definition = job.detector, job.definition
+        if definition is None:
+            detector = detector.for_video(spread_frames(video, GLIMPSES))
+            definition = detector.header.definition
         with progress_bars.counting(video.name) as progress:
-            table = track(
-                video, job.detector, job.definition, progress=progress, video_sha256=sha256, **job.options
-            )
+            table = track(video, detector, definition, progress=progress, video_sha256=sha256, **job.options)
         rate = len(table) / (time.monotonic() - begun)
         csv_path, _, _ = write_results(table, job.folder, stem)
         flagged = int((table.flag != "").sum())

@@ -1,0 +1,53 @@
+"""bendtrack angle: from video to table without project or labels."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bendtrack.tracker.project import Project
+from bendtrack.tracker.results import read_results
+
+
+def test_where_no_actuator_is_seen_it_is_said(
+    bendtrack, trained_project: Project, write_arm_video, tmp_path: Path
+) -> None:
+    """This network has learnt nothing: what it sees is nothing."""
+    video = write_arm_video(tmp_path / "a.mp4")
+    out = tmp_path / "out"
+    ran = bendtrack("angle", video, "--network", trained_project.models_dir / "model", "--out", out)
+    assert ran.status == 1
+    assert "a.mp4: expected an actuator in sight, got one in 0 % of the frames looked at" in ran.err
+    assert list(out.iterdir()) == []
+
+
+def test_without_a_network_there_is_one_line(bendtrack, write_arm_video, tmp_path: Path) -> None:
+    video = write_arm_video(tmp_path / "a.mp4")
+    ran = bendtrack("angle", video, "--network", tmp_path / "nothing", "--out", tmp_path / "out")
+    assert ran.status == 2
+    assert "expected a trained network at" in ran.err
+
+
+@pytest.mark.slow
+def test_an_actuator_that_the_network_knows_is_found_and_measured(
+    bendtrack, project: Project, write_arm_video, tmp_path: Path
+) -> None:
+    """A network that knows this one kind of arm stands for one that knows them all."""
+    settings = project.root / "bendtrack.toml"
+    settings.write_text(
+        settings.read_text()
+        .replace("steps = 2", "steps = 150")
+        .replace("batch_frames = 1", "batch_frames = 4")
+    )
+    assert bendtrack("train", project.root, "--init", "random").status == 0
+    video, out = write_arm_video(tmp_path / "new.mp4", 40), tmp_path / "out"
+    network = project.models_dir / "model"
+    ran = bendtrack("angle", video, "--network", network, "--out", out)
+    assert (ran.status, ran.err) == (0, "")
+    table = read_results(out / "new.h5")
+    truth = 50 - 50 * np.cos(np.linspace(0, 2 * np.pi, 40))
+    assert np.sqrt(np.nanmean((table.angle_deg - truth) ** 2)) < 5
+    assert (out / "new.png").is_file()
+    assert "up to date" in bendtrack("angle", video, "--network", network, "--out", out).out

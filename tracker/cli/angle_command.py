@@ -1,0 +1,38 @@
+"""The command `angle`: from video to bending angle without project or labels."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .engines import DeviceOption, EngineOption, ThreadsOption, load_network
+from .tracking_runs import check_writable, list_problems, listed_videos, track_videos
+
+
+def angle(
+    videos: Annotated[
+        list[str], typer.Argument(help="Files, folders of videos, or patterns such as 'day1/*.mp4'.")
+    ],
+    network: Annotated[
+        Path, typer.Option(help="A pretrained network, its folder or file (`bendtrack pretrain`).")
+    ],
+    out: Annotated[Path, typer.Option(help="Where the results go.")] = Path("bendtrack-angles"),
+    overlay: Annotated[
+        bool, typer.Option("--overlay", help="Also write a video with what was found drawn on it.")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Also what is up to date.")] = False,
+    engine: EngineOption = "auto",
+    device: DeviceOption = "auto",
+    threads: ThreadsOption = None,
+) -> None:
+    """Measure without labels, with a network that knows actuators.
+
+    Finds the actuator in each video, and which of its ends is fixed: the one that does not move. Writes what `track`
+    writes. Exit status 1 when in some video none can be seen; thirty labels are more exact.
+    """
+    paths = listed_videos(videos)
+    check_writable(out)
+    detector = load_network(network, engine, device, threads)
+    list_problems(track_videos(detector, None, paths, out, overlay=overlay, force=force), paths)
