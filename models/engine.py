@@ -38,6 +38,7 @@ from .finder import Finder, Reader, joined
 from .header import weights_file
 from .heatmaps import decode
 from .network import HeatmapNetwork, Maps
+from .rendered import rendered_samples
 
 MAX_DRIFT_PX = 0.1
 MAX_DRIFT_DEG = 0.1
@@ -45,6 +46,9 @@ MAX_DRIFT_DEG = 0.1
 
 LEAST_FRAMES = 4
 """Labelled frames without which the integers' ranges are not looked for."""
+
+RENDERED_FRAMES = 32
+"""Pictures of the stream for a network that was pretrained on it."""
 
 
 @dataclass(frozen=True)
@@ -61,11 +65,13 @@ class Drift:
 
 
 def build_beside(path: Path) -> dict[str, Any]:
-    """Build the engines of a project's checkpoint from its labelled pictures, as far as they are still there.
+    """Build the engines of a checkpoint from the pictures that it was trained on.
+
+    They are a project's labelled ones, as far as they are still there; of a pretrained network, some of the stream's.
 
     Parameters
     ----------
-    path : the checkpoint's file or folder, in models/<name>/ of a project
+    path : the checkpoint's file or folder; a project's lies in its models/<name>/
 
     Returns
     -------
@@ -78,9 +84,13 @@ def build_beside(path: Path) -> dict[str, Any]:
     """
     file = weights_file(path)
     checkpoint = load_checkpoint(file)
-    labels = file.resolve().parents[2] / "labeled-data"
-    known = [labels / name for name in checkpoint.training.get("trained_on", [])]
-    frames = [read_picture(path) for path in known if path.is_file()]
+    if "pictures" in checkpoint.training:
+        seed = checkpoint.training["settings"]["seed"]
+        frames = [sample.picture for sample, _ in rendered_samples(seed, range(RENDERED_FRAMES))]
+    else:
+        labels = file.resolve().parents[2] / "labeled-data"
+        known = [labels / name for name in checkpoint.training.get("trained_on", [])]
+        frames = [read_picture(path) for path in known if path.is_file()]
     return build(checkpoint, file, file_sha256(file), frames)
 
 

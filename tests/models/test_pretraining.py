@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from bendtrack.models.checkpoint import load_checkpoint
+from bendtrack.models.engine import build_beside
 from bendtrack.models.pretraining import PretrainingSettings, pretrain
 from bendtrack.models.regions import patch_directions
 from bendtrack.models.rendered import PARTNER, prepared_sample, rendered_batches
@@ -91,6 +92,13 @@ def test_what_comes_of_it_is_a_network_like_any_other(tmp_path: Path) -> None:
     assert np.isfinite([angle_deg[0], sd_deg[0]]).all()
     assert (tmp_path / "learning-curve.png").stat().st_size > 5000
     assert json.loads((tmp_path / "checkpoint.json").read_text())["training"]["settings"]["seed"] == 0
+
+
+def test_it_is_compiled_with_rendered_pictures(tmp_path: Path) -> None:
+    pretrain(tmp_path, TINY)
+    record = build_beside(tmp_path)
+    assert (record["frames_fitted"], record["frames_judged"]) == (16, 16)
+    assert set(record["engines"]) == {"openvino", "openvino-int8"}
 
 
 def test_only_what_was_begun_alike_goes_on(tmp_path: Path) -> None:
