@@ -88,7 +88,7 @@ def build_beside(path: Path) -> dict[str, Any]:
         seed = checkpoint.training["settings"]["seed"]
         frames = [sample.picture for sample, _ in rendered_samples(seed, range(RENDERED_FRAMES))]
     else:
-        labels = file.resolve().parents[2] / "labeled-data"
+        labels = file.resolve().parent.parent.parent / "labeled-data"  # of a file in / that is / itself
         known = [labels / name for name in checkpoint.training.get("trained_on", [])]
         frames = [read_picture(path) for path in known if path.is_file()]
     return build(checkpoint, file, file_sha256(file), frames)
