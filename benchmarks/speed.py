@@ -249,11 +249,13 @@ def report(folder: Path, size_wh: tuple[int, int], backbone: str, args: argparse
     _, peak, _ = run_measured(["track", case.project, case.video, "--force", "--out", folder / "measured"])
     print(f"  peak memory of `bendtrack track`   {peak:.0f} MiB")
     short = first_frames(case.video, 3, folder / "short.mp4")
-    seconds = [
-        run_measured(["track", case.project, short, "--force", "--out", folder / "short"])[0]
-        for _ in range(args.rounds)
-    ]
-    print(f"  `bendtrack track` on three frames  {spread(np.array(seconds), 2)} s")
+    seconds = []
+    for _ in range(args.rounds):
+        begun = time.time()
+        run_measured(["track", case.project, short, "--force", "--out", folder / "short"])
+        # What comes after the table, the figure, is not what one waits for.
+        seconds.append((folder / "short" / "short.csv").stat().st_mtime - begun)
+    print(f"  from its start to the table of 3 frames  {spread(np.array(seconds), 2)} s")
     if args.dlc:
         theirs = deeplabcut_speed(case, folder, args.dlc, args.dlc_frames)
         print(f"  DeepLabCut's analyze_videos        {theirs:.2f} frames/s over {args.dlc_frames} frames")
