@@ -60,13 +60,15 @@ def test_partners_are_neighbours() -> None:
 
 @pytest.mark.slow
 def test_both_networks_learn(tmp_path: Path) -> None:
-    settings = PretrainingSettings(steps=120, pictures=6, patches=3, judged=12, average=0.9)
     seen = []
-    checkpoint = pretrain(tmp_path, settings, progress=seen.append)
+    settings = PretrainingSettings(steps=120, pictures=6, patches=3, judged=24, average=0.9)
+    first = pretrain(tmp_path / "first", replace(settings, steps=1)).training["judged"]
+    last = pretrain(tmp_path / "last", settings, progress=seen.append).training["judged"]
     assert len(seen) == 120
-    first, last = (np.mean([p.loss for p in part]) for part in (seen[:20], seen[-20:]))
-    assert last < 0.8 * first
-    assert checkpoint.training["judged"]["refined_px"] < 12
+    assert np.mean([p.loss for p in seen[-20:]]) < 0.8 * np.mean([p.loss for p in seen[:20]])
+    # A minute is enough to see that they do, on pictures they were not taught with.
+    assert last["located_median"] < 0.9 * first["located_median"]
+    assert last["refined_px"] < 0.9 * first["refined_px"]
 
 
 def test_stopped_and_resumed_is_the_same_to_the_bit(tmp_path: Path) -> None:
