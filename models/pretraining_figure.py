@@ -19,13 +19,14 @@ def write_curve(rows: Sequence[dict[str, float]], folder: Path) -> None:
     FigureCanvasAgg(figure)
     panels = {
         "loss": ("Training loss", "", "log"),
-        "located_share": ("Located within 5 % of the body", "share of keypoints in sight", "linear"),
-        "refined_px": ("Refined", "median distance from the truth (px)", "log"),
+        "located_share": ("Located within 5 % of the body", "share of keypoints", "linear"),
+        "refined_px": ("Refined", "median error (px)", "log"),
     }
     step = [row["step"] for row in rows]
     for axes, (column, (title, label, scale)) in zip(figure.subplots(1, 3), panels.items(), strict=True):
         axes.plot(step, [row[column] for row in rows], color=_COLOUR, marker=".", markersize=4, linewidth=1)
-        axes.set(title=title, xlabel="step", ylabel=label, yscale=scale)
+        axes.set_title(title, fontsize=10)
+        axes.set(xlabel="step", ylabel=label, yscale=scale)
         if column == "located_share":
             axes.set_ylim(0, 1)
         axes.spines[["top", "right"]].set_visible(False)
