@@ -120,13 +120,8 @@ export class Desk {
     }
   }
 
-  /** Not from before an edit that was saved while the answer was on its way. */
-  async #latest(row) {
-    for (;;) {
-      const count = this.#queue.savedCount;
-      const frame = await get(row.url);
-      if (count === this.#queue.savedCount) return frame;
-    }
+  #latest(row) {
+    return this.#queue.undisturbed(() => get(row.url));
   }
 
   #prefetch(frame) {

@@ -78,7 +78,7 @@ async function start() {
   listenToKeys(actions);
 
   async function reload() {
-    const frames = await get("/api/frames");
+    const frames = await queue.undisturbed(() => get("/api/frames"));
     list.load(frames);
     const { due } = frames.repeats;
     byId("repeats-due").hidden = !due;

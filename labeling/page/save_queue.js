@@ -12,10 +12,9 @@ const RETRIED_STATUS = new Set([401, 403, 408, 429, 503]);
 
 /** Events: "status" (see `status`), "saved" {edit, answer}, "conflict" {id}, "refused" {edit, error}. */
 export class SaveQueue extends EventTarget {
-  /** How many edits have been saved; a frame fetched while this changed may be an old one. */
-  savedCount = 0;
   #key;
   #send;
+  #savedCount = 0;
   #edits = [];
   #held = new Set(); // edit ids that wait for more of the same, e.g. a key that repeats
   #conflicts = new Map(); // frame id -> the frame as somebody else left it
@@ -57,6 +56,15 @@ export class SaveQueue extends EventTarget {
 
   get conflicts() {
     return [...this.#conflicts.keys()];
+  }
+
+  /** What `fetch` gets of the server, not from before an edit that was saved while the answer was on its way. */
+  async undisturbed(fetch) {
+    for (;;) {
+      const count = this.#savedCount;
+      const answer = await fetch();
+      if (count === this.#savedCount) return answer;
+    }
   }
 
   /** Edits that an earlier tab left behind go first. */
@@ -162,7 +170,7 @@ export class SaveQueue extends EventTarget {
   }
 
   #done(edit, answer) {
-    this.savedCount++;
+    this.#savedCount++;
     this.#edits = this.#edits.filter((other) => other !== edit);
     const following = this.#edits.find((other) => other.id === edit.id);
     if (following && following.base_revision === null) {

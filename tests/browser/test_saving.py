@@ -157,3 +157,32 @@ def test_an_answer_while_the_button_is_down_takes_no_point_away(labeller, sample
     held.pop().continue_()
     labeller.saved()
     assert np.abs(labeller.xy_on_disk(image)[:2] - truth[:2]).max() < 1.0
+
+
+def test_a_list_from_before_an_edit_does_not_hide_it(labeller, sample_truth) -> None:
+    image, other, truth = "img00260.png", "img00300.png", sample_truth["img00260.png"]
+    page, held, asked = labeller.page, [], []
+
+    def hold_second(route: Route) -> None:
+        asked.append(route)
+        if len(asked) == 2:  # the server has answered it, the page does not have it yet
+            held.append((route, route.fetch()))
+        else:
+            route.continue_()
+
+    labeller.open(image)
+    page.route("**/api/frames", hold_second)
+    page.reload()
+    labeller.opened(image)
+    while not held:
+        page.wait_for_timeout(20)
+    for xy in truth:
+        labeller.click(xy)
+    labeller.saved()
+    frame = page.locator(f'[data-id="video/{image}"]')
+    expect(frame).to_have_attribute("data-state", "labelled")
+    labeller.open(other)
+    route, answer = held.pop()
+    route.fulfill(response=answer)
+    page.wait_for_timeout(300)
+    expect(frame).to_have_attribute("data-state", "labelled")
