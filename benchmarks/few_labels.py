@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -47,6 +47,7 @@ STREAM = 777
 """Seed of the looks. Nothing was tuned on them."""
 
 ENDS = ("base_1", "base_2", "tip_1", "tip_2")
+DEFINITION = AngleDefinition("two-vector", ENDS)
 SIZE_WH = (640, 480)
 NOISE_PX = 1.0
 OTHER_LIGHT = "light"
@@ -80,7 +81,8 @@ def filmed(path: Path, look: Look, frames: int) -> Film:
 def labels_of(film: Film, count: int, folder: Path) -> list[LabelledFrame]:
     """Frames spread evenly over the angles, in which all points are seen, labelled by an unsteady hand."""
     rng = np.random.default_rng([STREAM, count])
-    wanted = np.linspace(*np.nanpercentile(film.angle_deg[film.seen], (0, 100)), count)
+    seen_deg = film.angle_deg[film.seen]
+    wanted = np.linspace(seen_deg.min(), seen_deg.max(), count)
     free = film.seen.copy()
     chosen = []
     for angle in wanted:
@@ -106,9 +108,9 @@ class Result:
     minutes: float = 0.0
 
 
-def judged(film: Film, model: Path, definition: AngleDefinition, labelled: Sequence[int]) -> Result:
+def judged(film: Film, model: Path, labelled: Sequence[int]) -> Result:
     """Track a film and compare with its truth."""
-    table = track(film.path, NetworkDetector.load(model), definition)
+    table = track(film.path, NetworkDetector.load(model), DEFINITION)
     rest = film.seen.copy()
     rest[list(labelled)] = False
     error = (table.angle_deg - film.angle_deg)[rest]
@@ -116,26 +118,38 @@ def judged(film: Film, model: Path, definition: AngleDefinition, labelled: Seque
 
 
 def results_of(
-    look: Look, folder: Path, counts: Sequence[int], init: str, args: argparse.Namespace
+    film: Film, other: Film, folder: Path, counts: Sequence[int], init: str, steps: int | None
 ) -> dict[str, Result]:
-    """Results by number of labels, and in other light."""
-    definition = AngleDefinition("two-vector", ENDS)
-    film = filmed(folder / "film.mp4", look, args.frames)
+    """Results by number of labels, and in the other film, which is of other light."""
     results = {}
     for count in counts:
         model = folder / f"model-{count}"
         labelled = labels_of(film, count, folder / f"labels-{count}")
-        settings = TrainingSettings(init=init, steps=args.steps, held_out=0.0 if count < 10 else 0.1)
+        settings = TrainingSettings(init=init, steps=steps, held_out=0.0 if count < 10 else 0.1)
         begun = time.perf_counter()
-        train(labelled, ENDS, definition, model, settings)
+        train(labelled, ENDS, DEFINITION, model, settings)
         minutes = (time.perf_counter() - begun) / 60
         frames = [frame.frame for frame in labelled if frame.frame is not None]
-        got = judged(film, model, definition, frames)
+        got = judged(film, model, frames)
         results[str(count)] = Result(got.rmse_deg, got.sound, minutes)
-    other = before_other_background(in_other_light(look, STREAM), STREAM)
-    moved = filmed(folder / "other.mp4", other, args.frames)
-    results[OTHER_LIGHT] = judged(moved, folder / f"model-{max(counts)}", definition, [])
+    results[OTHER_LIGHT] = judged(other, folder / f"model-{max(counts)}", [])
     return results
+
+
+def rows_of(
+    look: Look, counts: Sequence[int], starts: Sequence[str], args: argparse.Namespace
+) -> Iterator[tuple[str, str, Result, float]]:
+    """Start, number of labels or `OTHER_LIGHT`, result, and length of the shorter end in px, as they come."""
+    with tempfile.TemporaryDirectory(prefix="bendtrack-few-labels-") as name:
+        folder = Path(name)
+        film = filmed(folder / "film.mp4", look, args.frames)
+        moved = before_other_background(in_other_light(look, STREAM), STREAM)
+        other = filmed(folder / "other.mp4", moved, args.frames)
+        length = end_vector_px(film.xy, ENDS, DEFINITION)
+        for number, init in enumerate(starts):
+            results = results_of(film, other, folder / str(number), counts, init, args.steps)
+            for key, result in results.items():
+                yield init, key, result, length
 
 
 def main() -> None:
@@ -155,22 +169,15 @@ def main() -> None:
     for index in range(args.first, args.first + args.looks):
         look = drawn_look(STREAM, index, size_wh=SIZE_WH, families=HELD_OUT, bend_deg=(0.0, 180.0))
         print(f"\nlook {index}: {', '.join(vars(look.words).values())}")
-        for init in starts:
-            with tempfile.TemporaryDirectory(prefix="bendtrack-few-labels-") as name:
-                results = results_of(look, Path(name), counts, init, args)
-                film = filmed(Path(name) / "again.mp4", look, 3)
-            length = end_vector_px(film.xy, ENDS, AngleDefinition("two-vector", ENDS))
-            for key, result in results.items():
-                floor = label_noise_floor_deg(
-                    NOISE_PX, max(counts) if key == OTHER_LIGHT else int(key), length
-                )
-                ratios.setdefault((init, key), []).append(result.rmse_deg / floor)
-                print(
-                    f"  {Path(init).name:24s} {key:>6s}  L {length:5.1f} px  angle RMSE {result.rmse_deg:7.3f} degrees"
-                    f"  {result.rmse_deg / floor:6.2f} of the floor  {100 * result.sound:5.1f} % sound"
-                    f"  training {result.minutes:.1f} min",
-                    flush=True,
-                )
+        for init, key, result, length in rows_of(look, counts, starts, args):
+            floor = label_noise_floor_deg(NOISE_PX, max(counts) if key == OTHER_LIGHT else int(key), length)
+            ratios.setdefault((init, key), []).append(result.rmse_deg / floor)
+            print(
+                f"  {Path(init).name:24s} {key:>6s}  L {length:5.1f} px  angle RMSE {result.rmse_deg:7.3f} degrees"
+                f"  {result.rmse_deg / floor:6.2f} of the floor  {100 * result.sound:5.1f} % sound"
+                f"  training {result.minutes:.1f} min",
+                flush=True,
+            )
     print("\nangle RMSE over the label-noise floor: median (lowest to highest) over the looks; goal 1.5")
     for (init, key), values in ratios.items():
         print(

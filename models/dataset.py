@@ -60,7 +60,7 @@ class PreparedFrame:
     coarse_view, fine_view : from frame px to px of those
     xy : (K, 2) frame px, NaN where not labelled
     region : the working region of frames of this size
-    hidden : (K,) bool, True where the keypoint is known to lie behind something; None: nowhere
+    in_sight : (K,) bool, False where the keypoint is known to lie behind something
     """
 
     coarse: ImageArray
@@ -69,12 +69,7 @@ class PreparedFrame:
     fine_view: View
     xy: FloatArray
     region: WorkingRegion
-    hidden: BoolArray | None = None
-
-    @property
-    def in_sight(self) -> BoolArray:
-        """(K,) bool, False where the keypoint is hidden."""
-        return np.ones(len(self.xy), bool) if self.hidden is None else ~self.hidden
+    in_sight: BoolArray
 
 
 def read_image(frame: LabelledFrame) -> ImageArray:
@@ -99,8 +94,13 @@ def read_picture(path: Path) -> ImageArray:
     return cv2.cvtColor(data, cv2.COLOR_BGR2RGB)
 
 
-def prepare(image: ImageArray, xy: FloatArray, region: WorkingRegion) -> PreparedFrame:
-    """Resize a frame once to both scales, so that a training step only cuts and turns."""
+def prepare(
+    image: ImageArray, xy: FloatArray, region: WorkingRegion, in_sight: BoolArray | None = None
+) -> PreparedFrame:
+    """Resize a frame once to both scales, so that a training step only cuts and turns.
+
+    in_sight : as `PreparedFrame`'s; None where nobody says that something lies in the way
+    """
     coarse, fine = resize(image, region.locator_scale), resize(image, region.fine_scale)
     return PreparedFrame(
         coarse=coarse,
@@ -109,6 +109,7 @@ def prepare(image: ImageArray, xy: FloatArray, region: WorkingRegion) -> Prepare
         fine_view=resized_view(region.fine_scale, (0, 0), (fine.shape[1], fine.shape[0])),
         xy=np.asarray(xy, dtype=np.float64),
         region=region,
+        in_sight=np.ones(len(xy), bool) if in_sight is None else in_sight,
     )
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from ..tracker.errors import CheckpointError
 from .cascade import Cascade
 from .checkpoint import Checkpoint, load_checkpoint
+from .initialisation import WORDS
 
 ENDS = ("base_1", "base_2", "tip_1", "tip_2")
 """What the first two and the last two keypoints of a chain are, where no name says it."""
@@ -15,6 +16,8 @@ ENDS = ("base_1", "base_2", "tip_1", "tip_2")
 
 def parent_of(start: str, backbone: str) -> Checkpoint | None:
     """The network that a training's start names; None where it names something else, or one with other layers."""
+    if start in WORDS:  # whatever lies under such a name
+        return None
     try:
         parent = load_checkpoint(Path(start))
     except CheckpointError:

@@ -29,6 +29,10 @@ IMAGENET_WEIGHTS = {
 }
 
 
+WORDS = ("imagenet", "random")
+"""Starts that are no file."""
+
+
 def imagenet_file(backbone: str) -> Path:
     """Where torchvision's ImageNet weights of a backbone lie on this machine, present or not."""
     return Path(torch.hub.get_dir()) / "checkpoints" / Path(IMAGENET_WEIGHTS[backbone].url).name

@@ -32,12 +32,12 @@ from .cascade import Cascade
 from .checkpoint import Checkpoint, best_device
 from .dataset import Batch, PreparedFrame
 from .finder import joined
-from .network import BACKBONES
 from .pair import Pair
 from .pretraining_figure import write_curve
 from .regions import WorkingRegion
 from .rendered import LOCATOR_INPUT, PARTNER, PICTURE_WH, rendered_batches, rendered_samples
 from .schedule import Schedule
+from .settings import check_counts, check_start
 from .training import Progress
 from .training_state import STATE_FILE, TrainingState, load_state, save_state, write_rows
 
@@ -77,13 +77,8 @@ class PretrainingSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.backbone not in BACKBONES:
-            raise TrainingError(f"backbone: expected one of {', '.join(BACKBONES)}, got {self.backbone!r}")
-        for name in ("steps", "pictures", "patches", "judged"):
-            if getattr(self, name) < 1:
-                raise TrainingError(f"{name}: expected at least 1, got {getattr(self, name)}")
-        if self.seed < 0:
-            raise TrainingError(f"seed: expected 0 or more, got {self.seed}")
+        check_start(self.backbone, self.seed)
+        check_counts(steps=self.steps, pictures=self.pictures, patches=self.patches, judged=self.judged)
 
     @property
     def identity(self) -> str:

@@ -6,7 +6,6 @@ What is drawn is in `tracker.synthetic.stream`; knows nothing of torch, so that 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -35,7 +34,7 @@ def prepared_sample(sample: Sample, rng: np.random.Generator) -> PreparedFrame:
     body_px = float(np.linalg.norm(np.diff(sample.midline_xy, axis=0), axis=1).sum())
     fine = min(MAX_MAGNIFICATION, PATCH_SIDE / (rng.uniform(*PATCH_SHARES) * body_px))
     region = WorkingRegion((width, height), 0, 0, width, height, LOCATOR_INPUT / max(width, height), fine)
-    return replace(prepare(sample.picture, sample.keypoints_xy, region), hidden=~sample.visible)
+    return prepare(sample.picture, sample.keypoints_xy, region, sample.visible)
 
 
 def rendered_samples(seed: int, indices: Sequence[int]) -> Iterator[tuple[Sample, PreparedFrame]]:

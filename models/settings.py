@@ -46,18 +46,14 @@ class TrainingSettings:
     max_minutes: float | None = None
 
     def __post_init__(self) -> None:
-        if self.backbone not in BACKBONES:
-            raise TrainingError(f"backbone: expected one of {', '.join(BACKBONES)}, got {self.backbone!r}")
-        if self.steps is not None and self.steps < 1:
-            raise TrainingError(f"steps: expected at least 1, got {self.steps}")
+        check_start(self.backbone, self.seed)
+        check_counts(batch_frames=self.batch_frames)
+        if self.steps is not None:
+            check_counts(steps=self.steps)
         if not 0.0 <= self.held_out < 1.0:
             raise TrainingError(f"held_out: expected a share in [0, 1), got {self.held_out}")
         if self.max_minutes is not None and not 0 < self.max_minutes < math.inf:
             raise TrainingError(f"max_minutes: expected a number above 0, got {self.max_minutes}")
-        if self.seed < 0:
-            raise TrainingError(f"seed: expected 0 or more, got {self.seed}")
-        if self.batch_frames < 1:
-            raise TrainingError(f"batch_frames: expected at least 1, got {self.batch_frames}")
         for name, value in (("decay_share", self.decay_share), ("consensus", self.consensus)):
             if not 0.0 <= value <= 1.0:
                 raise TrainingError(f"{name}: expected a share in [0, 1], got {value}")
@@ -69,3 +65,18 @@ class TrainingSettings:
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready."""
         return asdict(self)
+
+
+def check_start(backbone: str, seed: int) -> None:
+    """Refuse a backbone that is not known, or a seed below 0, with a TrainingError."""
+    if backbone not in BACKBONES:
+        raise TrainingError(f"backbone: expected one of {', '.join(BACKBONES)}, got {backbone!r}")
+    if seed < 0:
+        raise TrainingError(f"seed: expected 0 or more, got {seed}")
+
+
+def check_counts(**counts: int) -> None:
+    """Refuse what there must be at least one of, by its name, with a TrainingError."""
+    for name, count in counts.items():
+        if count < 1:
+            raise TrainingError(f"{name}: expected at least 1, got {count}")

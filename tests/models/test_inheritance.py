@@ -81,10 +81,15 @@ def test_a_training_starts_from_a_trained_network(
     assert not torch.equal(parent.network.refiner.conv1.weight, parent.network.locator.conv1.weight)
 
 
-def test_what_is_no_network_of_ours_is_no_parent(parent: Checkpoint, tmp_path: Path) -> None:
+def test_what_is_no_network_of_ours_is_no_parent(
+    parent: Checkpoint, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     file = parent.save(tmp_path)
     assert parent_of(str(file), "resnet18") is not None
     assert parent_of(str(file), "resnet50") is None
+    assert parent_of("random", "resnet18") is None
+    parent.save(tmp_path / "random")
+    monkeypatch.chdir(tmp_path)
     assert parent_of("random", "resnet18") is None
     save_file({"conv1.weight": torch.zeros(1)}, tmp_path / "plain.safetensors")
     assert parent_of(str(tmp_path / "plain.safetensors"), "resnet18") is None

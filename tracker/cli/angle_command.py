@@ -8,21 +8,25 @@ from typing import Annotated
 import typer
 
 from .engines import DeviceOption, EngineOption, ThreadsOption, load_network
-from .tracking_runs import check_writable, list_problems, listed_videos, track_videos
+from .tracking_runs import (
+    ForceOption,
+    OverlayOption,
+    VideosArgument,
+    check_writable,
+    list_problems,
+    listed_videos,
+    track_videos,
+)
 
 
 def angle(
-    videos: Annotated[
-        list[str], typer.Argument(help="Files, folders of videos, or patterns such as 'day1/*.mp4'.")
-    ],
+    videos: VideosArgument,
     network: Annotated[
         Path, typer.Option(help="A pretrained network, its folder or file (`bendtrack pretrain`).")
     ],
     out: Annotated[Path, typer.Option(help="Where the results go.")] = Path("bendtrack-angles"),
-    overlay: Annotated[
-        bool, typer.Option("--overlay", help="Also write a video with what was found drawn on it.")
-    ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Also what is up to date.")] = False,
+    overlay: OverlayOption = False,
+    force: ForceOption = False,
     engine: EngineOption = "auto",
     device: DeviceOption = "auto",
     threads: ThreadsOption = None,

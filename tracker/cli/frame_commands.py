@@ -10,7 +10,7 @@ import typer
 
 from . import talk
 from .project_commands import ProjectArgument
-from .tracking_runs import listed_videos
+from .tracking_runs import VideosArgument, listed_videos
 
 
 class Spread(StrEnum):
@@ -23,9 +23,7 @@ class Spread(StrEnum):
 
 def frames(
     project: ProjectArgument,
-    videos: Annotated[
-        list[str], typer.Argument(help="Files, folders of videos, or patterns such as 'day1/*.mp4'.")
-    ],
+    videos: VideosArgument,
     actuator: Annotated[
         str | None, typer.Option(help="Which actuator they show.", show_default="as bendtrack.toml says")
     ] = None,

@@ -10,22 +10,26 @@ import typer
 from . import model_folders
 from .engines import DeviceOption, EngineOption, ModelOption, ThreadsOption, load_network, measured_angle
 from .project_commands import ProjectArgument
-from .tracking_runs import check_writable, list_problems, listed_videos, track_videos
+from .tracking_runs import (
+    ForceOption,
+    OverlayOption,
+    VideosArgument,
+    check_writable,
+    list_problems,
+    listed_videos,
+    track_videos,
+)
 
 
 def track(
     project: ProjectArgument,
-    videos: Annotated[
-        list[str], typer.Argument(help="Files, folders of videos, or patterns such as 'day1/*.mp4'.")
-    ],
+    videos: VideosArgument,
     model: ModelOption = None,
     out: Annotated[
         Path | None, typer.Option(help="Where the results go.", show_default="PROJECT/results")
     ] = None,
-    overlay: Annotated[
-        bool, typer.Option("--overlay", help="Also write a video with what was found drawn on it.")
-    ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Also what is up to date.")] = False,
+    overlay: OverlayOption = False,
+    force: ForceOption = False,
     engine: EngineOption = "auto",
     device: DeviceOption = "auto",
     threads: ThreadsOption = None,

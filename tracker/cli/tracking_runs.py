@@ -6,9 +6,9 @@ import glob
 import secrets
 import time
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -19,6 +19,14 @@ if TYPE_CHECKING:
     from ...models.detector import NetworkDetector
     from ..angle import AngleDefinition
     from ..results import AngleTable
+
+VideosArgument = Annotated[
+    list[str], typer.Argument(help="Files, folders of videos, or patterns such as 'day1/*.mp4'.")
+]
+OverlayOption = Annotated[
+    bool, typer.Option("--overlay", help="Also write a video with what was found drawn on it.")
+]
+ForceOption = Annotated[bool, typer.Option("--force", help="Also what is up to date.")]
 
 GLIMPSES = 32
 """Frames in which an actuator is looked for that nobody has labelled."""
@@ -76,7 +84,7 @@ class _Job:
     definition: AngleDefinition | None
     folder: Path
     drawing: Executor
-    options: dict[str, Any] = field(default_factory=dict)
+    options: dict[str, Any]
     drawn: Future[None] | None = None
 
     def wait_for_figure(self) -> None:

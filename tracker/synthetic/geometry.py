@@ -29,35 +29,40 @@ def _turn_shares(peak: float, tilt: float) -> FloatArray:
 
 
 class ArcChain:
-    """A line of pieces, each straight or a circular arc, in image px.
+    """A straight base, circular arcs of one length, a straight tip without an end, in image px.
 
     Parameters
     ----------
-    s : (P,) where the pieces begin; the last has no end
-    curvature : (P,) 1/px, positive toward the inner side
-    turned_rad : (P,) turn from the first piece's direction to where each piece begins, toward the inner side
-    base_xy, direction_rad : where the first piece begins and its direction, from +x toward +y
+    base_px, arc_px : length of the base and of each arc
+    turn_rad : (N,) turn of each arc, toward the inner side
+    whole_rad : their sum, which carries no rounding: the tip's direction
+    base_xy, direction_rad : where the base begins and its direction, from +x toward +y
     side : +1 turns clockwise on the screen, -1 counterclockwise
 
     Attributes
     ----------
+    s : (P,) where the pieces begin; piece 0 is the base, the last the tip
+    curvature : (P,) 1/px, positive toward the inner side
     heading : (P,) direction where each piece begins, radians, not wrapped
     origin, along, inward : (P, 2) where each piece begins, its direction there, and the inner normal there
     """
 
     def __init__(
         self,
-        s: FloatArray,
-        curvature: FloatArray,
-        turned_rad: FloatArray,
+        base_px: float,
+        arc_px: float,
+        turn_rad: FloatArray,
+        whole_rad: float,
         base_xy: tuple[float, float],
         direction_rad: float,
         side: int,
     ) -> None:
         self.side = side
-        self.s = s
-        self.curvature = curvature
-        heading = direction_rad + side * turned_rad
+        self.s = np.concatenate([[0.0], base_px + arc_px * np.arange(len(turn_rad) + 1)])
+        self.curvature = np.concatenate([[0.0], turn_rad / arc_px, [0.0]])
+        turned = np.concatenate([[0.0, 0.0], np.cumsum(turn_rad)])
+        turned[-1] = whole_rad
+        heading = direction_rad + side * turned
         self.heading = heading
         self.along = np.stack([np.cos(heading), np.sin(heading)], axis=1)
         self.inward = side * np.stack([-self.along[:, 1], self.along[:, 0]], axis=1)
@@ -136,15 +141,12 @@ class Midline(ArcChain):
 
     def __init__(self, body: Body, pose: Pose, angle_deg: float) -> None:
         start, end = body.bend_s
-        step = (end - start) / SEGMENTS
-        turn = math.radians(angle_deg) * _turn_shares(body.curvature_peak, body.curvature_tilt)
-        before = np.concatenate([[0.0, 0.0], np.cumsum(turn)])
-        # The last cumulative sum carries rounding; the tip's direction is the angle itself.
-        before[-1] = math.radians(angle_deg)
+        whole = math.radians(angle_deg)
         super().__init__(
-            np.concatenate([[0.0], start + step * np.arange(SEGMENTS + 1)]),
-            np.concatenate([[0.0], turn / step, [0.0]]),
-            before,
+            start,
+            (end - start) / SEGMENTS,
+            whole * _turn_shares(body.curvature_peak, body.curvature_tilt),
+            whole,
             pose.base_xy,
             math.radians(pose.direction_deg),
             pose.side,

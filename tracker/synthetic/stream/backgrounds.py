@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 
 from ...types import FloatArray, ImageArray
 from .look import Colour, Scene
 from .noise import cut
-from .paint import Shade, rectangle, solid, strokes, tone
+from .paint import Shade, axes, rectangle, solid, strokes, tone
 from .things import Painter, any_colour
 
 Size = tuple[int, int]
@@ -59,8 +57,7 @@ def _plain(
 def _rules(size_wh: Size, pitch_px: float, turn_deg: float, offset: float) -> FloatArray:
     """Parallel lines over the whole picture, (N, 2, 2)."""
     reach = 0.5 * float(np.hypot(*size_wh)) + 1
-    along = np.array([np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))])
-    across = np.array([-along[1], along[0]])
+    along, across = axes(np.radians(turn_deg))
     place = (
         (np.arange(-np.floor(reach / pitch_px), np.floor(reach / pitch_px)) + offset)[:, None]
         * pitch_px
@@ -75,10 +72,9 @@ def _paper(word: str, scene: Scene, size_wh: Size, rng: np.random.Generator) -> 
     if rng.random() < 0.35:
         # A sheet ends within the picture, on something else.
         beyond = any_colour(rng, 0.7)
-        turn = np.radians(scene.turn_deg)
-        along = np.array([np.cos(turn), np.sin(turn)])
+        along, across = axes(np.radians(scene.turn_deg))
         reach = float(max(size_wh))
-        centre = np.asarray(size_wh) / 2 + np.array([-along[1], along[0]]) * reach * rng.uniform(0.8, 1.0)
+        centre = np.asarray(size_wh) / 2 + across * reach * rng.uniform(0.8, 1.0)
         solid(picture, rectangle(centre, along, 3 * reach, reach), beyond, rng)
     return picture
 
@@ -206,7 +202,7 @@ def _studio(word: str, scene: Scene, size_wh: Size, rng: np.random.Generator) ->
 
 
 def _curtain(word: str, scene: Scene, size_wh: Size, rng: np.random.Generator) -> ImageArray:
-    picture = _plain(replace(scene).colour, size_wh, rng)
+    picture = _plain(scene.colour, size_wh, rng)
     across = np.arange(size_wh[0], dtype=np.float32) / _unit(size_wh)
     bent = across + 9 * np.sin(across / rng.uniform(20, 45) + rng.uniform(0, 6))
     folds = 1 + 0.22 * np.sin(bent / rng.uniform(4, 9)) + 0.1 * np.sin(across / rng.uniform(12, 25))

@@ -48,17 +48,13 @@ class Chain(ArcChain):
     """
 
     def __init__(self, body: Body, place: Place, bend_deg: float) -> None:
-        turn = _turns_rad(body, bend_deg)
         base, tip = body.base_share * body.length_px, body.tip_share * body.length_px
         bending = body.length_px - base - tip + body.stretch * body.half_px * math.radians(max(bend_deg, 0.0))
-        step = bending / SEGMENTS
-        turned = np.concatenate([[0.0, 0.0], np.cumsum(turn)])
-        # The sum carries rounding; the tip's direction is the bend itself.
-        turned[-1] = math.radians(bend_deg)
         super().__init__(
-            np.concatenate([[0.0], base + step * np.arange(SEGMENTS + 1)]),
-            np.concatenate([[0.0], turn / step, [0.0]]),
-            turned,
+            base,
+            bending / SEGMENTS,
+            _turns_rad(body, bend_deg),
+            math.radians(bend_deg),
             place.base_xy,
             math.radians(place.direction_deg),
             place.side,

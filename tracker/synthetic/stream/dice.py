@@ -12,6 +12,12 @@ from .look import Colour
 T = TypeVar("T")
 
 
+def hue_colour(turn: float, saturation: float, level: float) -> Colour:
+    """The colour of a hue, `turn` in [0, 6) about the wheel from red."""
+    r, g, b = (level * (1 - saturation * min(max(abs((turn + k) % 6 - 3) - 1, 0), 1)) for k in (3, 1, 5))
+    return r, g, b
+
+
 class Dice:
     """Draws single plain numbers and words."""
 
@@ -50,9 +56,7 @@ class Dice:
 
     def hue(self, saturation: float, level: float) -> Colour:
         """Any hue."""
-        turn = self.between(0, 6)
-        r, g, b = (level * (1 - saturation * min(max(abs((turn + k) % 6 - 3) - 1, 0), 1)) for k in (3, 1, 5))
-        return r, g, b
+        return hue_colour(self.between(0, 6), saturation, level)
 
     def seed(self) -> int:
         """For what is drawn later."""

@@ -32,6 +32,12 @@ def tone(colour: Colour, factor: float = 1.0) -> tuple[float, float, float]:
     return r, g, b
 
 
+def axes(heading: float) -> tuple[FloatArray, FloatArray]:
+    """Unit vectors along a heading (radians, from +x toward +y) and across it."""
+    along = np.array([np.cos(heading), np.sin(heading)])
+    return along, np.array([-along[1], along[0]])
+
+
 def rectangle(centre: FloatArray, along: FloatArray, length: float, width: float) -> FloatArray:
     """Corners, (4, 2); `along` is a unit vector."""
     across = np.array([-along[1], along[0]])

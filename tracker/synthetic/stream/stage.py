@@ -16,7 +16,7 @@ from .coat import coat
 from .exposure import light_map, taken
 from .laying import Layer, laid
 from .look import Look, Place
-from .paint import Shade, curve
+from .paint import Shade, axes, curve
 from .things import Painter
 
 # Bodies that cover more than this many px are not supersampled.
@@ -141,9 +141,10 @@ class Stage:
             if not scene.tube_px:
                 continue
             heading = np.radians(place.direction_deg) + np.pi + turn
-            start = np.asarray(place.base_xy) - 2 * look.body.half_px * (
-                reach(look.words.clamp) - 0.4
-            ) * np.array([np.cos(heading[0] - np.pi - turn[0]), np.sin(heading[0] - np.pi - turn[0])])
+            along, _ = axes(np.radians(place.direction_deg))
+            start = (
+                np.asarray(place.base_xy) - 2 * look.body.half_px * (reach(look.words.clamp) - 0.4) * along
+            )
             steps = 40 * self._unit * np.stack([np.cos(heading), np.sin(heading)], axis=1)
             knots = np.concatenate([start[None], start + np.cumsum(steps, axis=0)])
             painter.hose(self._projection.picture(curve(knots)), scene.tube_colour, scene.tube_px)
@@ -155,8 +156,7 @@ class Stage:
         ends = []
         for place in self._places:
             heading = np.radians(place.direction_deg)
-            along = np.array([np.cos(heading), np.sin(heading)])
-            across = np.array([-along[1], along[0]])
+            along, across = axes(heading)
             thick = 2 * self.look.body.half_px
             base = np.asarray(place.base_xy)
             ends += [
@@ -171,12 +171,12 @@ class Stage:
         look = self.look
         thick = max(2 * look.body.half_px, 7 * self._unit)
         heading = np.radians(place.direction_deg)
-        along = np.array([np.cos(heading), np.sin(heading)])
-        axes = thick * np.array([along, [-along[1], along[0]]])
+        along, across = axes(heading)
+        unit = thick * np.array([along, across])
 
         def local(st: FloatArray) -> FloatArray:
             # OpenCV fills a polygon about half a px beyond its outline; the face is to lie at the base.
-            return self._projection.picture(np.asarray(place.base_xy) - 0.45 * along + st @ axes)
+            return self._projection.picture(np.asarray(place.base_xy) - 0.45 * along + st @ unit)
 
         rng = np.random.default_rng([look.scene.clamp_seed, 5])
         clamp(
@@ -209,7 +209,7 @@ class Stage:
             np.maximum(part, layer.rgba[..., 3], out=part)
         for place in self._places:
             heading, thick = np.radians(place.direction_deg), 2 * self.look.body.half_px
-            along = np.array([np.cos(heading), np.sin(heading)])
+            along, _ = axes(heading)
             ends = np.array([place.base_xy, np.asarray(place.base_xy) - 1.2 * thick * along])
             corners = np.round(self._projection.picture(ends)).astype(np.int32)
             cv2.line(

@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 
 from ...types import FloatArray, ImageArray
+from .dice import hue_colour
 from .look import Colour
-from .paint import Shade, capsule, curve, fixed, rectangle, solid, strokes, tone
+from .paint import Shade, axes, capsule, curve, fixed, rectangle, solid, strokes, tone
 
 SKIN: tuple[Colour, ...] = (
     *((0.91, 0.72, 0.61), (0.84, 0.62, 0.50), (0.72, 0.50, 0.38)),
@@ -24,8 +25,7 @@ def any_colour(rng: np.random.Generator, grey: float = 0.5) -> Colour:
         warm = rng.normal(0, 0.02)
         return (float(np.clip(level + warm, 0, 1)), level, float(np.clip(level - warm, 0, 1)))
     hue, saturation = rng.uniform(0, 6), rng.uniform(0.3, 0.95)
-    r, g, b = (level * (1 - saturation * float(np.clip(abs((hue + k) % 6 - 3) - 1, 0, 1))) for k in (3, 1, 5))
-    return r, g, b
+    return hue_colour(hue, saturation, level)
 
 
 class Painter:
@@ -84,11 +84,10 @@ class Painter:
     def sheet(self, place: FloatArray, heading: float) -> None:
         """A paper with some print on it."""
         rng, unit = self.rng, self.unit
-        along = np.array([np.cos(heading), np.sin(heading)])
+        along, across = axes(heading)
         length, width = rng.uniform(40, 130, 2) * unit
         colour = any_colour(rng, 0.8) if rng.random() < 0.4 else (0.90, 0.90, 0.88)
         self.fill(rectangle(place, along, length, width), colour, 0.06)
-        across = np.array([-along[1], along[0]])
         rows = int(rng.integers(0, 9))
         v = np.linspace(-0.4, 0.4, max(rows, 1))[:rows, None] * width * across
         ends = rng.uniform(-0.1, 0.42, (rows, 1)) * length * along
@@ -98,7 +97,7 @@ class Painter:
     def box(self, place: FloatArray, heading: float) -> None:
         """A box or an instrument: two faces, perhaps buttons."""
         rng, unit = self.rng, self.unit
-        along = np.array([np.cos(heading), np.sin(heading)])
+        along, _ = axes(heading)
         length, width = rng.uniform(18, 90, 2) * unit
         colour = any_colour(rng)
         outline = rectangle(place, along, length, width)
@@ -122,8 +121,7 @@ class Painter:
     def ruler(self, place: FloatArray, heading: float) -> None:
         """Ticks on steel, wood or plastic."""
         rng, unit = self.rng, self.unit
-        along = np.array([np.cos(heading), np.sin(heading)])
-        across = np.array([-along[1], along[0]])
+        along, across = axes(heading)
         length, width, pitch = (
             rng.uniform(90, 300) * unit,
             rng.uniform(9, 20) * unit,
@@ -144,12 +142,11 @@ class Painter:
     def pen(self, place: FloatArray, heading: float) -> None:
         """A pen, a screwdriver or a rod: a shaft with a tip and a cap."""
         rng, unit = self.rng, self.unit
-        along = np.array([np.cos(heading), np.sin(heading)])
+        along, across = axes(heading)
         length, width = rng.uniform(60, 130) * unit, rng.uniform(3.5, 8) * unit
         colour = any_colour(rng, 0.3)
         self.hose(place + np.array([[-0.5], [0.5]]) * length * along, colour, width)
         tip = place + 0.5 * length * along
-        across = np.array([-along[1], along[0]])
         cone = np.array([tip - 0.5 * width * across, tip + 0.5 * width * across, tip + 1.6 * width * along])
         self._patch(cone, any_colour(rng))
         cap = rectangle(place - 0.35 * length * along, along, 0.3 * length, 1.15 * width)
@@ -193,7 +190,7 @@ class Painter:
     def tape(self, place: FloatArray, heading: float) -> None:
         """A strip of adhesive tape."""
         rng, unit = self.rng, self.unit
-        along = np.array([np.cos(heading), np.sin(heading)])
+        along, _ = axes(heading)
         colours: tuple[Colour, ...] = (
             (0.90, 0.85, 0.65),
             (0.15, 0.25, 0.6),
@@ -227,7 +224,7 @@ class Painter:
         rng, unit = self.rng, self.unit
         radius = rng.uniform(4, 8) * unit
         skin = SKIN[int(rng.integers(len(SKIN)))]
-        along = np.array([np.cos(heading), np.sin(heading)])
+        along, _ = axes(heading)
         end = place - radius * along
         hand = capsule(end - 30 * radius * along, end - 9 * radius * along, 2.8 * radius, 2.6 * radius)
         self.fill(
@@ -241,8 +238,7 @@ class Painter:
         """A palm with fingers, gloved or not."""
         rng, unit = self.rng, self.unit
         skin, radius = SKIN[int(rng.integers(len(SKIN)))], rng.uniform(6, 10) * unit
-        along = np.array([np.cos(heading), np.sin(heading)])
-        across = np.array([-along[1], along[0]])
+        along, across = axes(heading)
         arm = capsule(place - 26 * radius * along, place - 3 * radius * along, 1.9 * radius, 1.8 * radius)
         palm = capsule(place - 3 * radius * along, place, 2.3 * radius, 2.5 * radius)
         fingers = []
@@ -256,8 +252,7 @@ class Painter:
     def breadboard(self, place: FloatArray, heading: float) -> None:
         """A board with holes or chips."""
         rng, unit = self.rng, self.unit
-        along = np.array([np.cos(heading), np.sin(heading)])
-        across = np.array([-along[1], along[0]])
+        along, across = axes(heading)
         length, width = rng.uniform(50, 110) * unit, rng.uniform(20, 50) * unit
         boards: tuple[Colour, ...] = (
             (0.92, 0.91, 0.87),
