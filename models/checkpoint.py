@@ -57,8 +57,11 @@ def load_checkpoint(path: Path) -> Checkpoint:
     path = weights_file(path)
     header = read_header(path, tuple(BACKBONES))
     with told_as_damage(path):
-        network = Cascade(header.backbone, len(header.keypoints))
-        network.load_state_dict(load_file(path))
+        weights = load_file(path)
+        # Early networks had a locator of three stages.
+        stages = sum(name.startswith("locator.lateral.") for name in weights)
+        network = Cascade(header.backbone, len(header.keypoints), stages)
+        network.load_state_dict(weights)
     return Checkpoint(
         network=network.eval(), **{part.name: getattr(header, part.name) for part in fields(header)}
     )

@@ -5,7 +5,7 @@ Every batch depends only on (seed, step): training can be stopped and resumed at
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +21,7 @@ from .views import PATCH_SIDE, View, centred_view, patch_view, resize, resized_v
 
 Rng = np.random.Generator
 BoolArray = NDArray[np.bool_]
+PictureChange = Callable[[ImageArray, Rng], ImageArray]
 
 MAX_TURN_DEG = 30.0
 """Locator crops are turned up to this much: labels leave gaps in orientation, the clamp does not turn."""
@@ -114,9 +115,14 @@ def prepare(
 
 
 def locator_batch(
-    frames: Mapping[int, PreparedFrame], chosen: Sequence[int], size_wh: tuple[int, int], rng: Rng
+    frames: Mapping[int, PreparedFrame],
+    chosen: Sequence[int],
+    size_wh: tuple[int, int],
+    rng: Rng,
+    *,
+    change: PictureChange = augment.change_picture,
 ) -> Batch:
-    """Random crops at the locator's scale of the frames `chosen`, by their keys."""
+    """Random crops at the locator's scale of the frames `chosen`, by their keys; `change` is done to each."""
     images, targets, known, present = [], [], [], []
     for index in chosen:
         frame = frames[index]
@@ -136,7 +142,7 @@ def locator_batch(
         turn = np.deg2rad(rng.uniform(-MAX_TURN_DEG, MAX_TURN_DEG)) if rng.random() < 0.7 else 0.0
         view = centred_view(middle, size_wh, np.exp(rng.uniform(-0.2, 0.2)), turn)
         picture, mask = augment.occlude(view.cut(frame.coarse), rng)
-        images.append(augment.change_picture(picture, rng))
+        images.append(change(picture, rng))
         xy = view.to_input(points)
         targets.append(xy)
         known.append(labelled)
@@ -151,6 +157,7 @@ def refiner_batch(
     rng: Rng,
     *,
     most: int | None = None,
+    change: PictureChange = augment.change_picture,
 ) -> Batch:
     """One random patch around each labelled keypoint of the frames `chosen`, by their keys; of `most` of a frame's."""
     images, targets, known, present = [], [], [], []
@@ -171,7 +178,7 @@ def refiner_batch(
             shift = np.clip(rng.normal(0, PATCH_SHIFT_PX, size=2), -16, 16) / zoom
             view = patch_view(points[k] + shift, zoom * np.exp(rng.normal(0, 0.06)), turn)
             picture, mask = augment.occlude(view.cut(frame.fine), rng, share=0.2)
-            images.append(augment.change_picture(picture, rng))
+            images.append(change(picture, rng))
             xy = view.to_input(points)
             targets.append(xy)
             known.append(labelled)

@@ -17,8 +17,8 @@ from ..tracker.types import Detections, FloatArray, Frames, ImageArray
 from .regions import WorkingRegion, patch_directions
 from .views import PATCH_SIDE, View, patch_view, resize, resized_view
 
-LOCATOR_MULTIPLE = 16
-"""The locator's input sides are multiples of this: its three stages halve them four times."""
+LOCATOR_MULTIPLE = 32
+"""The locator's input sides are multiples of this: its four stages halve them five times."""
 
 COLLAPSE_LIKELIHOOD = 0.15
 """A keypoint whose peak in the working region is under this is sought in the whole frame: a bend beyond the labelled

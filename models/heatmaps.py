@@ -58,9 +58,7 @@ def heatmap_loss(maps: Maps, xy: Tensor, known: Tensor, present: Tensor) -> dict
     spread (Gaussian negative log likelihood of the offsets' residuals, which are held fixed)
     """
     n, k, h, w = maps.heat.shape
-    cx, cy = cell_centres(h, w, maps.heat.device)
-    dx = xy[..., 0, None, None] - cx[None, None, None, :]
-    dy = xy[..., 1, None, None] - cy[None, None, :, None]
+    dx, dy = _steps(maps, xy)
     seen = (known & present)[..., None, None]
     distance2 = (dx**2 + dy**2) / STRIDE**2
     distance2 = torch.where(seen, distance2, torch.full_like(distance2, 1e9))
@@ -82,6 +80,26 @@ def heatmap_loss(maps: Maps, xy: Tensor, known: Tensor, present: Tensor) -> dict
     nll = _gaussian_nll(residual.detach(), maps.spread)
     spread = (torch.where(weight > 0, nll, torch.zeros_like(nll)) * weight).sum() / total
     return {"heat": heat, "offset": offset, "spread": spread}
+
+
+def cell_loss(maps: Maps, xy: Tensor, known: Tensor, present: Tensor) -> Tensor:
+    """Cross-entropy of which cell holds each keypoint that can be seen, the heat taken as a choice among all cells.
+
+    Parameters and target bump as in `heatmap_loss`. A choice has a steady gradient however many cells there are, which
+    helps where looks are endless; for thirty frames the focal loss does.
+    """
+    dx, dy = _steps(maps, xy)
+    target = torch.exp(-(dx**2 + dy**2) / (2 * (HEAT_SD_CELLS * STRIDE) ** 2)).flatten(2)
+    target = target / target.sum(dim=2, keepdim=True).clamp(min=1e-6)
+    seen = (known & present).float()
+    entropy = -(target * maps.heat.flatten(2).log_softmax(dim=2)).sum(dim=2)
+    return (entropy * seen).sum() / seen.sum().clamp(min=1)
+
+
+def _steps(maps: Maps, xy: Tensor) -> tuple[Tensor, Tensor]:
+    """From the cells' centres to keypoints (N, K, 2): x (N, K, 1, w) and y (N, K, h, 1) input px."""
+    cx, cy = cell_centres(*maps.heat.shape[2:], maps.heat.device)
+    return xy[..., 0, None, None] - cx[None, None, None, :], xy[..., 1, None, None] - cy[None, None, :, None]
 
 
 def _gaussian_nll(residual: Tensor, spread: Tensor) -> Tensor:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from ..tracker.errors import TrainingError
 from .dataset import Batch
-from .heatmaps import heatmap_loss
+from .heatmaps import cell_loss, heatmap_loss
 from .network import HeatmapNetwork
 
 SPREAD_WEIGHT = 0.1
@@ -27,13 +27,17 @@ class Learner:
     network : with the weights to start from, on the device to train on
     average : how much of the averaged weights is kept each step
     weight_decay : AdamW's
+    cell_weight : of `heatmaps.cell_loss`
     """
 
-    def __init__(self, network: HeatmapNetwork, *, average: float, weight_decay: float) -> None:
+    def __init__(
+        self, network: HeatmapNetwork, *, average: float, weight_decay: float, cell_weight: float = 0.0
+    ) -> None:
         self.network = network
         self.average = copy.deepcopy(network).requires_grad_(False)
         self.optimizer = torch.optim.AdamW(network.parameters(), weight_decay=weight_decay)
         self._keep = average
+        self._cell_weight = cell_weight
 
     def learn(self, batch: Batch, step: int, learning_rate: float) -> float:
         """Take step number `step`, from 0; returns the loss before it.
@@ -77,5 +81,7 @@ class Learner:
         images, xy, known, present = (
             torch.from_numpy(part).to(device) for part in (batch.images, batch.xy, batch.known, batch.present)
         )
-        losses = heatmap_loss(self.network(images), xy, known, present)
-        return losses["heat"] + losses["offset"] + SPREAD_WEIGHT * losses["spread"]
+        maps = self.network(images)
+        losses = heatmap_loss(maps, xy, known, present)
+        loss = losses["heat"] + losses["offset"] + SPREAD_WEIGHT * losses["spread"]
+        return loss + self._cell_weight * cell_loss(maps, xy, known, present) if self._cell_weight else loss

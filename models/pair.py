@@ -22,7 +22,7 @@ class Pair:
     Parameters
     ----------
     network : with the weights to start from, on the device to train on
-    average, weight_decay : as `Learner`'s
+    average, weight_decay, cell_weight : as `Learner`'s
 
     Attributes
     ----------
@@ -30,9 +30,11 @@ class Pair:
     average : the averaged networks as a cascade
     """
 
-    def __init__(self, network: Cascade, *, average: float, weight_decay: float) -> None:
+    def __init__(
+        self, network: Cascade, *, average: float, weight_decay: float, cell_weight: float = 0.0
+    ) -> None:
         locator, refiner = (
-            Learner(part, average=average, weight_decay=weight_decay)
+            Learner(part, average=average, weight_decay=weight_decay, cell_weight=cell_weight)
             for part in (network.locator, network.refiner)
         )
         self.learners = {"locator": locator, "refiner": refiner}

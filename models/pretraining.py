@@ -56,11 +56,13 @@ class PretrainingSettings:
     ----------
     backbone : a key of `network.BACKBONES`
     steps : training steps; a pretraining that is resumed may be given more
-    pictures : new pictures in a step; the locator sees each whole
+    pictures : new pictures in a step
+    crops : of each picture, for the locator; a picture takes as long to draw as two crops to learn from
     patches : of each picture, for the refiner
     judged : pictures that are not trained on, to judge by
     learning_rate, weight_decay : AdamW's
     decay_share : share of the steps in which the learning rate falls to zero
+    cell_weight : `Learner`'s
     average : how much of the averaged weights is kept each step
     seed : everything random follows from it; pictures that judge are drawn with the next one
     """
@@ -68,17 +70,20 @@ class PretrainingSettings:
     backbone: str = "resnet18"
     steps: int = 30_000
     pictures: int = 16
+    crops: int = 2
     patches: int = 4
-    judged: int = 64
-    learning_rate: float = 1e-3
+    judged: int = 128
+    learning_rate: float = 2e-3
     weight_decay: float = 1e-2
     decay_share: float = 0.4
+    cell_weight: float = 1.0
     average: float = 0.998
     seed: int = 0
 
     def __post_init__(self) -> None:
         check_start(self.backbone, self.seed)
-        check_counts(steps=self.steps, pictures=self.pictures, patches=self.patches, judged=self.judged)
+        check_counts(steps=self.steps, pictures=self.pictures, crops=self.crops)
+        check_counts(patches=self.patches, judged=self.judged)
 
     @property
     def identity(self) -> str:
@@ -134,7 +139,12 @@ class _Pretrainer:
         self.state_file = folder / STATE_FILE
         torch.manual_seed(settings.seed)
         network = Cascade(settings.backbone, len(KEYPOINTS)).to(best_device())
-        self.pair = Pair(network, average=settings.average, weight_decay=settings.weight_decay)
+        self.pair = Pair(
+            network,
+            average=settings.average,
+            weight_decay=settings.weight_decay,
+            cell_weight=settings.cell_weight,
+        )
         self.schedule = Schedule(settings.steps, settings.decay_share, warmup=200)
         self.step, self.elapsed_s = 0, 0.0
         self.rows: list[dict[str, float]] = []
@@ -236,8 +246,10 @@ class _Pretrainer:
 def _drawn(settings: PretrainingSettings, first: int) -> Iterator[Iterator[tuple[Batch, Batch]]]:
     """The batches of every step from `first` on, drawn ahead in a process of their own."""
 
+    per_step = settings.pictures, settings.crops, settings.patches
+
     def ask(step: int) -> Any:
-        return pool.submit(rendered_batches, settings.seed, step, settings.pictures, settings.patches)
+        return pool.submit(rendered_batches, settings.seed, step, *per_step)
 
     def batches() -> Iterator[tuple[Batch, Batch]]:
         ahead = [ask(first), ask(first + 1)]

@@ -10,14 +10,15 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ..tracker.synthetic.stream import KEYPOINTS, TRAINING, Sample, draw
+from ..tracker.types import ImageArray
 from .dataset import Batch, PreparedFrame, locator_batch, prepare, refiner_batch
 from .regions import MAX_MAGNIFICATION, WorkingRegion
 from .views import PATCH_SIDE
 
 PICTURE_WH = (256, 256)
 
-LOCATOR_INPUT = 128
-"""Side of the locator's input in pretraining: half as dear as a project's, and the convolutions do not mind."""
+LOCATOR_INPUT = 96
+"""Side of the locator's input in pretraining: far cheaper than a project's, and the convolutions do not mind."""
 
 PATCH_SHARES = (0.15, 0.35)
 """How much of the body's length a patch shows: `regions.PATCH_BODY_SHARE`, and more where nobody knows the body yet."""
@@ -44,11 +45,19 @@ def rendered_samples(seed: int, indices: Sequence[int]) -> Iterator[tuple[Sample
         yield sample, prepared_sample(sample, np.random.default_rng([seed, 7, index]))
 
 
-def rendered_batches(seed: int, step: int, pictures: int, patches: int) -> tuple[Batch, Batch]:
-    """What the locator and the refiner learn from in a step: pictures never seen before, and patches of each."""
+def rendered_batches(seed: int, step: int, pictures: int, crops: int, patches: int) -> tuple[Batch, Batch]:
+    """What the locator and the refiner learn from in a step: crops of pictures never seen before, and patches."""
     indices = range(step * pictures, (step + 1) * pictures)
     frames = {i: frame for i, (_, frame) in zip(indices, rendered_samples(seed, indices), strict=True)}
     rng = np.random.default_rng([seed, 8, step])
     chosen = list(frames)
     side = (LOCATOR_INPUT, LOCATOR_INPUT)
-    return locator_batch(frames, chosen, side, rng), refiner_batch(frames, chosen, PARTNER, rng, most=patches)
+    return (
+        locator_batch(frames, crops * chosen, side, rng, change=_as_it_is),
+        refiner_batch(frames, chosen, PARTNER, rng, most=patches, change=_as_it_is),
+    )
+
+
+def _as_it_is(picture: ImageArray, _: np.random.Generator) -> ImageArray:
+    """The stream has a camera and a light of its own: changed once more, pictures only teach more slowly."""
+    return picture

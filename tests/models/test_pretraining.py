@@ -35,8 +35,8 @@ def test_a_sample_is_a_frame_whose_hidden_points_are_known_to_be() -> None:
 
 
 def test_batches_show_where_the_points_are() -> None:
-    locate, refine = rendered_batches(5, 2, 6, 3)
-    assert locate.images.shape == (6, 3, 128, 128)
+    locate, refine = rendered_batches(5, 2, 6, 2, 3)
+    assert locate.images.shape == (12, 3, 96, 96)
     assert refine.images.shape == (18, 3, 64, 64)
     assert locate.known.all()
     assert refine.known.all()
@@ -46,9 +46,9 @@ def test_batches_show_where_the_points_are() -> None:
     assert distance.min(axis=1).max() < 24
     turn = np.degrees([patch_directions(xy, PARTNER)[k] for xy, k in zip(refine.xy, nearest, strict=True)])
     assert np.median(np.abs(turn)) < 20
-    again = rendered_batches(5, 2, 6, 3)
+    again = rendered_batches(5, 2, 6, 2, 3)
     np.testing.assert_array_equal(again[0].images, locate.images)
-    other = rendered_batches(5, 3, 6, 3)
+    other = rendered_batches(5, 3, 6, 2, 3)
     assert (other[0].images != locate.images).any()
 
 
