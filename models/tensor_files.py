@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from safetensors import SafetensorError
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor
 
-from ..tracker.atomic import atomic_path
+from ..tracker.atomic import atomic_write_bytes
 from ..tracker.errors import CheckpointError, reason
 
 
@@ -25,7 +25,7 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str
     """
     own = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
     try:
-        with atomic_path(path) as temporary:
-            save_file(own, temporary, metadata={"bendtrack": json.dumps(header)})
+        # The library's own writing of files keeps them from everyone else who uses the folder.
+        atomic_write_bytes(path, save(own, metadata={"bendtrack": json.dumps(header)}))
     except (SafetensorError, OSError) as error:
         raise CheckpointError(f"{path}: cannot be written ({reason(error)})") from error
