@@ -111,8 +111,13 @@ def body_length_px(xy: FloatArray) -> float:
     return float(np.median(lengths)) if lengths else 0.0
 
 
-def find_region(xy: FloatArray, frame_wh: tuple[int, int]) -> WorkingRegion:
-    """The working region of frames with labels `xy` (N, K, 2) px, NaN where a keypoint is not labelled."""
+def find_region(
+    xy: FloatArray, frame_wh: tuple[int, int], patch_share: float = PATCH_BODY_SHARE
+) -> WorkingRegion:
+    """The working region of frames with labels `xy` (N, K, 2) px, NaN where a keypoint is not labelled.
+
+    patch_share : how much of the body's length a patch shows
+    """
     points = xy.reshape(-1, 2)
     points = points[~np.isnan(points).any(axis=1)]
     low, high = points.min(axis=0), points.max(axis=0)
@@ -122,7 +127,7 @@ def find_region(xy: FloatArray, frame_wh: tuple[int, int]) -> WorkingRegion:
     right, bottom = (int(v) for v in np.minimum(np.ceil(high + margin), np.array(frame_wh)))
     width, height = right - left, bottom - top
     locator_scale = min(1.0, max(LOCATOR_SIDE / max(width, height), LOCATOR_BODY / body))
-    refiner_scale = min(MAX_MAGNIFICATION, PATCH_SIDE / (PATCH_BODY_SHARE * body))
+    refiner_scale = min(MAX_MAGNIFICATION, PATCH_SIDE / (patch_share * body))
     return WorkingRegion(frame_wh, left, top, width, height, locator_scale, refiner_scale)
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..tracker.angle import bending_angle
 from ..tracker.errors import VideoError
@@ -17,16 +18,27 @@ from ..tracker.types import FloatArray, Frames
 from .calibration import LEAST_PEAK
 from .finder import Finder
 from .header import Header
-from .regions import WorkingRegion, find_region
+from .regions import WorkingRegion, body_length_px, find_region
 
-FIRST_SIDES = (128, 192, 256)
+BoolArray = NDArray[np.bool_]
+
+FIRST_SIDES = (96, 128, 192, 256)
 """Input px of a whole frame's long side at a first look: actuators fill a fifth of a picture, or nearly all of it."""
+
+BODY_SIDE = 64
+"""Input px of the body's length where it is looked at once more: as large as in most of pretraining's pictures."""
+
+WIDE_PATCH_SHARE = 0.25
+"""A patch shows so much of the body's length: more than where labels tell where things are."""
 
 SURE = 0.5
 """A keypoint counts as seen from this share of its usual peak on."""
 
 LEAST_SEEN = 0.3
-"""Share of the glimpses in which most of the keypoints must be seen."""
+"""Share of the glimpses in which most of the keypoints must be seen, and the fixed end where it is held."""
+
+HELD_SHARE = 0.1
+"""The fixed end is found where it is held, within so much of the body's length."""
 
 STILL_SHARE = 0.5
 """An end that moves by less than so much of what the other moves is the fixed one."""
@@ -41,7 +53,7 @@ class Sighting:
     header : the network's for this video: keypoints named from the fixed end, region, the angle's sign
     fixed : 0 where the network's first keypoint is the fixed end, -1 where its last is
     fixed_xy : (2,) px, where the fixed end is
-    seen : share of the glimpses in which the actuator was seen
+    seen : share of the glimpses in which the actuator was seen, held where it is in the others
     """
 
     header: Header
@@ -95,47 +107,89 @@ def sight(glimpses: Frames, header: Header, finder: Finder) -> Sighting:
     h, w = glimpses[0].shape[:2]
     usual = np.maximum(header.calibration.usual_peak or 1.0, LEAST_PEAK)
 
-    def look(region: WorkingRegion) -> tuple[FloatArray, FloatArray]:
+    def look(region: WorkingRegion) -> _Look:
         xy, peak = finder.located(glimpses, region)
-        return xy, np.minimum(peak / usual, 1.0)
+        return _agreed(region, xy, np.minimum(peak / usual, 1.0))
 
     whole = [WorkingRegion((w, h), 0, 0, w, h, min(1.0, side / max(w, h)), 1.0) for side in FIRST_SIDES]
-    xy, likelihood = max((look(region) for region in whole), key=lambda found: float(found[1].mean()))
-    region = whole[0]
+    best = max((look(region) for region in whole), key=lambda found: found.worth)
     # Once more where it is, at the scale that fits it, until that settles.
     for _ in range(2):
-        clear = _clear(likelihood)
-        region = find_region(xy[clear], (w, h))
-        xy, likelihood = look(region)
-    clear = _clear(likelihood)
-    fixed, fixed_xy = _fixed_end(xy[clear])
-    xy, _ = oriented(xy, likelihood, fixed, fixed_xy)
-    if fixed:
+        best = look(_fitting_region(_seen(best), (w, h)))
+    xy = _seen(best)
+    if best.fixed:
         header = replace(header, keypoints=header.keypoints[::-1])
-    angle_deg, _, _ = bending_angle(xy[clear], header.keypoints, replace(header.definition, sign=1))
+    angle_deg, _, _ = bending_angle(xy, header.keypoints, replace(header.definition, sign=1))
     known = angle_deg[np.isfinite(angle_deg)]
     sign = -1 if known.size and known[np.argmax(np.abs(known))] < 0 else 1
     definition = replace(header.definition, sign=sign)
     return Sighting(
-        replace(header, regions=(region,), definition=definition), fixed, fixed_xy, float(clear.mean())
+        replace(header, regions=(best.region,), definition=definition),
+        best.fixed,
+        best.fixed_xy,
+        float(best.sound.mean()),
     )
 
 
-def _clear(likelihood: FloatArray) -> np.ndarray:
-    """Glimpses (N,) bool in which most keypoints are seen.
+@dataclass(frozen=True)
+class _Look:
+    """What is found in the glimpses within one region.
+
+    Attributes
+    ----------
+    xy : (N, K, 2) px, turned round where the fixed end was found at the other one
+    clear : (N,) bool, most keypoints are seen
+    sound : (N,) bool, clear, and the fixed end is where it always is
+    worth : how much speaks for it: sound glimpses, and how well their keypoints are seen
+    """
+
+    region: WorkingRegion
+    xy: FloatArray
+    clear: BoolArray
+    sound: BoolArray
+    fixed: int
+    fixed_xy: FloatArray
+    worth: float
+
+
+def _agreed(region: WorkingRegion, xy: FloatArray, likelihood: FloatArray) -> _Look:
+    """Single glimpses held against each other: which end is fixed, and in which of them it is where it should be."""
+    clear = np.median(likelihood, axis=1) >= SURE
+    fixed, fixed_xy = _fixed_end(xy[clear]) if clear.any() else (0, np.full(2, np.nan))
+    xy, likelihood = oriented(xy, likelihood, fixed, fixed_xy)
+    off = np.linalg.norm(xy[:, fixed] - fixed_xy, axis=1)
+    sound = clear & (off <= HELD_SHARE * body_length_px(xy[clear]))
+    worth = float(np.where(sound, likelihood.mean(axis=1), 0.0).mean())
+    return _Look(region, xy, clear, sound, fixed, fixed_xy, worth)
+
+
+def _seen(found: _Look) -> FloatArray:
+    """Keypoints (M, K, 2) px in the sound glimpses.
 
     Raises
     ------
     VideoError
         There are too few.
     """
-    clear = np.median(likelihood, axis=1) >= SURE
-    if clear.mean() < LEAST_SEEN:
+    clear, sound = (100 * float(share.mean()) for share in (found.clear, found.sound))
+    if clear < 100 * LEAST_SEEN:
         raise VideoError(
-            f"expected an actuator in sight, got one in {100 * clear.mean():.0f} % of the frames looked at;"
+            f"expected an actuator in sight, got one in {clear:.0f} % of the frames looked at; label some frames:"
+            " `bendtrack new`"
+        )
+    if sound < 100 * LEAST_SEEN:
+        raise VideoError(
+            f"expected an actuator that is held at one end, got one there in {sound:.0f} % of the frames looked at;"
             " label some frames: `bendtrack new`"
         )
-    return np.asarray(clear)
+    return found.xy[found.sound]
+
+
+def _fitting_region(xy: FloatArray, frame_wh: tuple[int, int]) -> WorkingRegion:
+    """Where bodies found at (N, K, 2) px can be, at the scales at which pretraining showed bodies."""
+    region = find_region(xy, frame_wh, WIDE_PATCH_SHARE)
+    fits = BODY_SIDE / max(body_length_px(xy), 1.0), FIRST_SIDES[-1] / max(region.width, region.height)
+    return replace(region, locator_scale=min(1.0, *fits))
 
 
 def _fixed_end(xy: FloatArray) -> tuple[int, FloatArray]:

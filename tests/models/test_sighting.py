@@ -107,3 +107,21 @@ def test_the_region_holds_every_pose_that_was_clearly_seen() -> None:
 def test_where_nothing_is_seen_it_is_said() -> None:
     with pytest.raises(VideoError, match=r"expected an actuator in sight, got one in 0 %"):
         sight(glimpses(30), HEADER, Oracle(arms(), np.full((30, 4), 0.1)))
+
+
+def test_what_is_seen_somewhere_else_each_time_is_no_actuator() -> None:
+    anywhere = arms() + np.random.default_rng(2).uniform(-200, 200, (30, 1, 2))
+    with pytest.raises(
+        VideoError, match=r"expected an actuator that is held at one end, got one there in \d+ %"
+    ):
+        sight(glimpses(30), HEADER, Oracle(anywhere, np.full((30, 4), 0.6)))
+
+
+def test_glimpses_that_disagree_with_the_others_do_not_count() -> None:
+    xy = arms()
+    xy[::5] += 150.0  # clearly seen, and elsewhere: a shadow taken for the body
+    seen = sight(glimpses(30), HEADER, Oracle(xy, np.full((30, 4), 0.6)))
+    np.testing.assert_allclose(seen.fixed_xy, (300, 200), atol=3)
+    assert seen.seen == pytest.approx(0.8)
+    region = seen.header.region_for(SIZE_WH)
+    assert region.left + region.width < xy[::5, :, 0].max()
