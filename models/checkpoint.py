@@ -37,11 +37,17 @@ class Checkpoint(Header):
         region = self.region_for((w, h))
         return self.calibrated(self.network.detect(frames, region, self.partner), region)
 
-    def save(self, folder: Path) -> Path:
-        """Write `weights.safetensors` and `checkpoint.json` into a folder; returns the former."""
+    def save(self, folder: Path, *, half: bool = False) -> Path:
+        """Write `weights.safetensors` and `checkpoint.json` into a folder; returns the former.
+
+        half : in float16, half the size; each weight is rounded by up to a two-thousandth of itself
+        """
         folder.mkdir(parents=True, exist_ok=True)
         header = self.to_dict()
-        write_tensors(folder / WEIGHTS_FILE, self.network.state_dict(), header)
+        weights = self.network.state_dict()
+        if half:
+            weights = {n: w.half() if w.is_floating_point() else w for n, w in weights.items()}
+        write_tensors(folder / WEIGHTS_FILE, weights, header)
         atomic_write_text(folder / "checkpoint.json", json.dumps(header, indent=2) + "\n")
         return folder / WEIGHTS_FILE
 

@@ -9,13 +9,22 @@ from ..tracker.errors import CheckpointError
 from .cascade import Cascade
 from .checkpoint import Checkpoint, load_checkpoint
 from .initialisation import WORDS
+from .shipped import shipped_network
 
 ENDS = ("base_1", "base_2", "tip_1", "tip_2")
 """What the first two and the last two keypoints of a chain are, where no name says it."""
 
 
 def parent_of(start: str, backbone: str) -> Checkpoint | None:
-    """The network that a training's start names; None where it names something else, or one with other layers."""
+    """The network that a training's start names; None where it names something else, or one with other layers.
+
+    Raises
+    ------
+    WeightsError
+        The start is "actuator", and no such network comes with this backbone.
+    """
+    if start == "actuator":
+        return load_checkpoint(shipped_network(backbone))
     if start in WORDS:  # whatever lies under such a name
         return None
     try:

@@ -1,6 +1,6 @@
-"""What a network's backbone starts from: ImageNet weights, a file, or random numbers.
+"""What a network starts from: the one that comes with bendtrack, ImageNet weights, a file, or random numbers.
 
-Weights pretrained on actuators will lie in `weights/`; nothing here ever loads a pickle.
+Nothing here ever loads a pickle.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from torchvision.models import ResNet18_Weights, ResNet34_Weights, ResNet50_Weig
 
 from ..tracker.errors import WeightsError
 from .network import HeatmapNetwork
+from .shipped import actuator_file
 
 IMAGENET_WEIGHTS = {
     "resnet18": ResNet18_Weights.IMAGENET1K_V1,
@@ -28,8 +29,7 @@ IMAGENET_WEIGHTS = {
     "resnet50": ResNet50_Weights.IMAGENET1K_V2,
 }
 
-
-WORDS = ("imagenet", "random")
+WORDS = ("actuator", "imagenet", "random")
 """Starts that are no file."""
 
 
@@ -39,13 +39,15 @@ def imagenet_file(backbone: str) -> Path:
 
 
 def resolve_init(init: str, backbone: str) -> str:
-    """What `init` means on this machine: "imagenet", "random" or a path.
+    """What `init` means on this machine: "actuator", "imagenet", "random" or a path.
 
-    "auto" takes ImageNet weights when they are on the machine already, else random numbers: it never waits for a
-    network that a laboratory or a cluster may not have.
+    "auto" takes the network that comes with bendtrack; for a backbone without one ImageNet weights when they are on the
+    machine already, else random numbers: it never waits for a network that a laboratory or a cluster may not have.
     """
     if init != "auto":
         return init
+    if actuator_file(backbone).is_file():
+        return "actuator"
     return "imagenet" if imagenet_file(backbone).is_file() else "random"
 
 
@@ -124,7 +126,7 @@ def _imagenet(backbone: str) -> dict[str, Tensor]:
 def _read(path: Path) -> dict[str, Tensor]:
     if not path.is_file():
         raise WeightsError(
-            f"--init: expected auto, imagenet, random or a weights file, got {path} (no such file)"
+            f"--init: expected auto, actuator, imagenet, random or a weights file, got {path} (no such file)"
         )
     try:
         state: Any = (

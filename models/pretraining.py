@@ -112,7 +112,7 @@ def pretrain(
     Returns
     -------
     Checkpoint
-        The averaged network; its keypoints are `stream.KEYPOINTS`.
+        The averaged network; its keypoints are `stream.KEYPOINTS`. In the file it is in float16.
 
     Raises
     ------
@@ -124,7 +124,7 @@ def pretrain(
         pretrainer.restore()
     pretrainer.run(stop_after_s, progress)
     checkpoint = pretrainer.finish()
-    checkpoint.save(Path(folder))
+    checkpoint.save(Path(folder), half=True)
     write_curve(pretrainer.rows, Path(folder))
     if pretrainer.step == pretrainer.schedule.total:
         pretrainer.state_file.unlink(missing_ok=True)

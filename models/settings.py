@@ -17,7 +17,8 @@ class TrainingSettings:
     Attributes
     ----------
     backbone : resnet18 finds what the larger ones find on thirty frames of one actuator, in a third of the time
-    init : "auto" (the best start on this machine), "imagenet", "random", or the path of a weights file
+    init : "auto" (the best start on this machine), "actuator" (the network that comes with bendtrack), "imagenet",
+        "random", or the path of a weights file
     steps : training steps; None takes ten for each training frame, between 300 and 3000
     batch_frames : frames of a batch; a frame gives the locator one crop and the refiner a patch a keypoint
     learning_rate, weight_decay : AdamW's

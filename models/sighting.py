@@ -50,14 +50,12 @@ class Sighting:
 
     Attributes
     ----------
-    header : the network's for this video: keypoints named from the fixed end, region, the angle's sign
-    fixed : 0 where the network's first keypoint is the fixed end, -1 where its last is
+    header : the network's for this video: region, and the angle's sign
     fixed_xy : (2,) px, where the fixed end is
     seen : share of the glimpses in which the actuator was seen, held where it is in the others
     """
 
     header: Header
-    fixed: int
     fixed_xy: FloatArray
     seen: float
 
@@ -68,22 +66,19 @@ class OrientedFinder(Finder):
 
     Attributes
     ----------
-    fixed, fixed_xy : as `Sighting`'s
+    fixed_xy : as `Sighting`'s
     """
 
-    fixed: int
     fixed_xy: FloatArray
 
     def located(self, frames: Frames, region: WorkingRegion) -> tuple[FloatArray, FloatArray]:
         """As `Finder.located`."""
-        return oriented(*super().located(frames, region), self.fixed, self.fixed_xy)
+        return oriented(*super().located(frames, region), self.fixed_xy)
 
 
-def oriented(
-    xy: FloatArray, likelihood: FloatArray, fixed: int, fixed_xy: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Positions (N, K, 2) and likelihoods (N, K), the chain turned round where its other end lies at the fixed one."""
-    away = np.linalg.norm(xy[:, [fixed, -1 - fixed]] - fixed_xy, axis=2)
+def oriented(xy: FloatArray, likelihood: FloatArray, fixed_xy: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Positions (N, K, 2) and likelihoods (N, K), the chain turned round where its last end lies at the fixed place."""
+    away = np.linalg.norm(xy[:, [0, -1]] - fixed_xy, axis=2)
     wrong = away[:, 0] > away[:, 1]
     return (
         np.where(wrong[:, None, None], xy[:, ::-1], xy),
@@ -117,18 +112,12 @@ def sight(glimpses: Frames, header: Header, finder: Finder) -> Sighting:
     for _ in range(2):
         best = look(_fitting_region(_seen(best), (w, h)))
     xy = _seen(best)
-    if best.fixed:
-        header = replace(header, keypoints=header.keypoints[::-1])
     angle_deg, _, _ = bending_angle(xy, header.keypoints, replace(header.definition, sign=1))
     known = angle_deg[np.isfinite(angle_deg)]
     sign = -1 if known.size and known[np.argmax(np.abs(known))] < 0 else 1
     definition = replace(header.definition, sign=sign)
-    return Sighting(
-        replace(header, regions=(best.region,), definition=definition),
-        best.fixed,
-        best.fixed_xy,
-        float(best.sound.mean()),
-    )
+    header = replace(header, regions=(best.region,), definition=definition)
+    return Sighting(header, best.fixed_xy, float(best.sound.mean()))
 
 
 @dataclass(frozen=True)
@@ -137,7 +126,7 @@ class _Look:
 
     Attributes
     ----------
-    xy : (N, K, 2) px, turned round where the fixed end was found at the other one
+    xy : (N, K, 2) px, from the fixed end
     clear : (N,) bool, most keypoints are seen
     sound : (N,) bool, clear, and the fixed end is where it always is
     worth : how much speaks for it: sound glimpses, and how well their keypoints are seen
@@ -147,20 +136,19 @@ class _Look:
     xy: FloatArray
     clear: BoolArray
     sound: BoolArray
-    fixed: int
     fixed_xy: FloatArray
     worth: float
 
 
 def _agreed(region: WorkingRegion, xy: FloatArray, likelihood: FloatArray) -> _Look:
-    """Single glimpses held against each other: which end is fixed, and in which of them it is where it should be."""
+    """Single glimpses held against each other: where the fixed end is, and in which of them it is found there."""
     clear = np.median(likelihood, axis=1) >= SURE
-    fixed, fixed_xy = _fixed_end(xy[clear]) if clear.any() else (0, np.full(2, np.nan))
-    xy, likelihood = oriented(xy, likelihood, fixed, fixed_xy)
-    off = np.linalg.norm(xy[:, fixed] - fixed_xy, axis=1)
+    fixed_xy = _fixed_end(xy[clear]) if clear.any() else np.full(2, np.nan)
+    xy, likelihood = oriented(xy, likelihood, fixed_xy)
+    off = np.linalg.norm(xy[:, 0] - fixed_xy, axis=1)
     sound = clear & (off <= HELD_SHARE * body_length_px(xy[clear]))
     worth = float(np.where(sound, likelihood.mean(axis=1), 0.0).mean())
-    return _Look(region, xy, clear, sound, fixed, fixed_xy, worth)
+    return _Look(region, xy, clear, sound, fixed_xy, worth)
 
 
 def _seen(found: _Look) -> FloatArray:
@@ -192,8 +180,8 @@ def _fitting_region(xy: FloatArray, frame_wh: tuple[int, int]) -> WorkingRegion:
     return replace(region, locator_scale=min(1.0, *fits))
 
 
-def _fixed_end(xy: FloatArray) -> tuple[int, FloatArray]:
-    """Which end (0 or -1) does not move, and where it is; the first one where neither is clearly at rest.
+def _fixed_end(xy: FloatArray) -> FloatArray:
+    """Where the end is that does not move; the network's first one where neither is clearly at rest.
 
     The network may take one end for the other in any of the frames: a place is at rest when in most of them either end
     lies there.
@@ -204,6 +192,5 @@ def _fixed_end(xy: FloatArray) -> tuple[int, FloatArray]:
     moved = np.median(away, axis=2)
     best = moved.argmin(axis=0)
     end = 1 if moved[best[1], 1] < STILL_SHARE * moved[best[0], 0] else 0
-    fixed_xy = ends[best[end], end]
-    nearer = np.linalg.norm(ends - fixed_xy, axis=2).argmin(axis=1)
-    return (-1 if nearer.mean() > 0.5 else 0), fixed_xy
+    fixed_xy: FloatArray = ends[best[end], end]
+    return fixed_xy

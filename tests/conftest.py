@@ -33,7 +33,7 @@ COMMAND = Path(sys.executable).parent / "bendtrack"
 KEYPOINTS = ("base_1", "base_2", "tip_1", "tip_2")
 SIZE_WH = (96, 72)
 # As little as there can be: these networks are right about nothing, and everything around them must hold.
-TINY_TRAINING = {"steps": 2, "batch_frames": 1, "held_out": 0.2}
+TINY_TRAINING = {"init": '"random"', "steps": 2, "batch_frames": 1, "held_out": 0.2}
 
 
 def pytest_configure(config: pytest.Config) -> None:

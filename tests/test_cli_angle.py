@@ -9,6 +9,7 @@ import pytest
 
 from bendtrack.tracker.project import Project
 from bendtrack.tracker.results import read_results
+from bendtrack.tracker.video_writer import VideoWriter
 
 
 def test_where_no_actuator_is_seen_it_is_said(
@@ -21,6 +22,20 @@ def test_where_no_actuator_is_seen_it_is_said(
     assert ran.status == 1
     assert "a.mp4: expected an actuator in sight, got one in 0 % of the frames looked at" in ran.err
     assert list(out.iterdir()) == []
+
+
+def test_what_comes_with_bendtrack_sees_no_actuator_in_grey(
+    bendtrack, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    grey = np.random.default_rng(0).normal(128, 3, (30, 96, 128, 3)).astype(np.uint8)
+    with VideoWriter(tmp_path / "grey.mp4", (128, 96), frame_rate=30) as writer:
+        for picture in grey:
+            writer.write(picture)
+    ran = bendtrack("angle", tmp_path / "grey.mp4", "--engine", "torch", "--out", tmp_path / "out")
+    assert ran.status == 1
+    assert "Network: actuator-resnet18 (resnet18, torch on cpu)" in ran.out
+    assert "grey.mp4: expected an actuator" in ran.err
 
 
 def test_without_a_network_there_is_one_line(bendtrack, write_arm_video, tmp_path: Path) -> None:

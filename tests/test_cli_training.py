@@ -56,6 +56,21 @@ def test_options_go_before_the_file_and_that_before_the_defaults(bendtrack, proj
     assert "from random weights" in ran.out
 
 
+def test_a_network_starts_from_what_comes_with_bendtrack(bendtrack, project: Project) -> None:
+    set_training(project, init='"auto"', steps=1)
+    ran = bendtrack("train", project.root)
+    assert (ran.status, ran.err) == (0, "")
+    assert "Start: resnet18 with actuator weights" in ran.out
+    facts = json.loads((project.models_dir / "model" / "checkpoint.json").read_text())["training"]
+    assert facts["started_from"] == "actuator"
+
+
+def test_no_actuator_comes_with_every_backbone(bendtrack, project: Project) -> None:
+    ran = bendtrack("train", project.root, "--backbone", "resnet34", "--init", "actuator")
+    assert ran.status == 2
+    assert "actuator weights: expected a backbone that they come with (resnet18), got resnet34" in ran.err
+
+
 def test_a_network_starts_from_a_file_the_project_names(bendtrack, trained_project: Project) -> None:
     # Its path counts from the project's folder, wherever the command is called.
     set_training(trained_project, init='"models/model/weights.safetensors"')

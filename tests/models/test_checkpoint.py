@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -56,6 +57,27 @@ def test_comes_back_as_it_was(checkpoint: Checkpoint, tmp_path: Path) -> None:
     np.testing.assert_array_equal(before.covariance, after.covariance)
     assert again.region_for((320, 240)).locator_scale == 0.5
     assert again.region_for((640, 480)).width == 640
+
+
+def test_others_may_read_it_as_any_file(checkpoint: Checkpoint, tmp_path: Path) -> None:
+    file = checkpoint.save(tmp_path)
+    assert file.stat().st_mode == (tmp_path / "checkpoint.json").stat().st_mode
+
+
+def test_in_float16_it_is_half_as_large_and_nearly_the_same(checkpoint: Checkpoint, tmp_path: Path) -> None:
+    whole, half = checkpoint.save(tmp_path / "whole"), checkpoint.save(tmp_path / "half", half=True)
+    assert half.stat().st_size < 0.51 * whole.stat().st_size
+    again = load_checkpoint(half)
+    assert again.to_dict() == checkpoint.to_dict()
+    for name, value in checkpoint.network.state_dict().items():
+        torch.testing.assert_close(again.network.state_dict()[name], value, rtol=5e-4, atol=1e-7)
+
+
+def test_a_locator_of_three_stages_is_still_read(checkpoint: Checkpoint, tmp_path: Path) -> None:
+    early = replace(checkpoint, network=Cascade("resnet18", 5, locator_stages=3).eval())
+    early.save(tmp_path)
+    frames = np.random.default_rng(0).integers(0, 255, (1, 120, 160, 3), dtype=np.uint8)
+    np.testing.assert_array_equal(load_checkpoint(tmp_path).detect(frames).xy, early.detect(frames).xy)
 
 
 def test_moving_to_another_folder_changes_nothing_and_the_hash_tells_networks_apart(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from bendtrack.models.heatmaps import cell_centres, decode, heatmap_loss
+from bendtrack.models.heatmaps import cell_centres, cell_loss, decode, heatmap_loss
 from bendtrack.models.network import STRIDE, Maps
 
 
@@ -89,3 +89,16 @@ def test_spread_loss_is_least_at_the_residuals_own_size() -> None:
     # However far off, claiming less spread never pays.
     assert loss(perfect(xy, sd_px=0.1), xy + 5.0)["spread"] > loss(perfect(xy, sd_px=0.3), xy + 5.0)["spread"]
     assert costs[0.85] < costs[3.0]
+
+
+def test_cell_loss_is_least_at_the_truth_and_silent_about_what_cannot_be_seen() -> None:
+    xy = torch.tensor([[[20.3, 17.8]]])
+    yes, no = torch.tensor([[True]]), torch.tensor([[False]])
+    maps = perfect(np.array([[20.3, 17.8]]))
+    at_truth = cell_loss(maps, xy, yes, yes).item()
+    assert cell_loss(perfect(np.array([[28.3, 17.8]])), xy, yes, yes).item() > at_truth + 1
+    # A choice: heat that is higher everywhere chooses the same.
+    lifted = maps._replace(heat=maps.heat + 3.0)
+    assert cell_loss(lifted, xy, yes, yes).item() == pytest.approx(at_truth, rel=1e-5)
+    assert cell_loss(maps, xy, no, yes).item() == 0
+    assert cell_loss(maps, xy, yes, no).item() == 0

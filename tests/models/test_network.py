@@ -68,7 +68,7 @@ def test_imagenet_weights_are_read_from_the_cache_and_reach_the_network(
     hub: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     state = put_imagenet_file(hub, monkeypatch)
-    assert resolve_init("auto", "resnet18") == "imagenet"
+    assert resolve_init("auto", "resnet34") == "imagenet"
     network = HeatmapNetwork("resnet18", 3, 4)
     load_backbone(network, starting_weights("imagenet", "resnet18"), "imagenet")
     assert torch.equal(network.conv1.weight, state["conv1.weight"])
@@ -92,7 +92,7 @@ def test_a_failed_download_names_the_file_and_where_to_put_it(
         monkeypatch.setenv(name, "http://127.0.0.1:9")
     for name in ("no_proxy", "NO_PROXY"):
         monkeypatch.delenv(name, raising=False)
-    assert resolve_init("auto", "resnet18") == "random"
+    assert resolve_init("auto", "resnet34") == "random"
     with pytest.raises(
         WeightsError, match=r"expected resnet18-f37072fd\.pth in .*checkpoints.* --init random"
     ):

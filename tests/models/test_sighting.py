@@ -9,7 +9,7 @@ from bendtrack.models.calibration import Calibration
 from bendtrack.models.finder import Finder
 from bendtrack.models.header import Header
 from bendtrack.models.regions import WorkingRegion
-from bendtrack.models.sighting import sight
+from bendtrack.models.sighting import oriented, sight
 from bendtrack.tracker.angle import AngleDefinition, bending_angle
 from bendtrack.tracker.errors import VideoError
 
@@ -57,21 +57,12 @@ def arms(sign: float = 1.0) -> np.ndarray:
 
 def test_the_end_that_rests_is_the_fixed_one() -> None:
     seen = sight(glimpses(30), HEADER, Oracle(arms(), np.full((30, 4), 0.6)))
-    assert (seen.fixed, seen.header.keypoints, seen.header.definition.sign) == (0, KEYPOINTS, 1)
+    assert seen.header.definition.sign == 1
     np.testing.assert_allclose(seen.fixed_xy, (300, 200), atol=3)
     assert seen.seen == 1.0
 
 
-def test_a_chain_found_from_the_wrong_end_is_named_from_the_right_one() -> None:
-    truth = arms()
-    seen = sight(glimpses(30), HEADER, Oracle(truth[:, ::-1], np.full((30, 4), 0.6)))
-    assert seen.fixed == -1
-    assert seen.header.keypoints == KEYPOINTS[::-1]
-    angle_deg, _, _ = bending_angle(truth[:, ::-1], seen.header.keypoints, seen.header.definition)
-    np.testing.assert_allclose(angle_deg, np.linspace(0, 120, 30), atol=1e-6)
-
-
-@pytest.mark.parametrize("turned", [0.3, 0.7])
+@pytest.mark.parametrize("turned", [0.3, 0.7, 1.0])
 def test_frames_found_the_wrong_way_round_do_not_matter(turned: float) -> None:
     """Neither for where the fixed end is, nor for what is found later."""
     truth = arms(-1)
@@ -79,16 +70,17 @@ def test_frames_found_the_wrong_way_round_do_not_matter(turned: float) -> None:
     xy = np.where(wrong[:, None, None], truth[:, ::-1], truth)
     seen = sight(glimpses(30), HEADER, Oracle(xy, np.full((30, 4), 0.6)))
     np.testing.assert_allclose(seen.fixed_xy, (300, 200), atol=3)
-    assert seen.fixed == (-1 if turned > 0.5 else 0)
-    # Positive is the way it bends, whichever that is on the screen and from whichever end it was found.
-    chain = truth[:, ::-1] if seen.fixed else truth
-    angle_deg, _, _ = bending_angle(chain, seen.header.keypoints, seen.header.definition)
+    found, _ = oriented(xy, np.ones((30, 4)), seen.fixed_xy)
+    np.testing.assert_array_equal(found, truth)
+    # Positive is the way it bends, whichever that is on the screen.
+    angle_deg, _, _ = bending_angle(truth, KEYPOINTS, seen.header.definition)
     np.testing.assert_allclose(angle_deg, np.linspace(0, 120, 30), atol=1e-6)
 
 
 def test_what_does_not_move_is_taken_as_the_network_says() -> None:
     still = np.repeat(body(40)[None], 30, axis=0)
-    assert sight(glimpses(30), HEADER, Oracle(still, np.full((30, 4), 0.6))).fixed == 0
+    seen = sight(glimpses(30), HEADER, Oracle(still, np.full((30, 4), 0.6)))
+    np.testing.assert_allclose(seen.fixed_xy, still[0, 0], atol=3)
 
 
 def test_the_region_holds_every_pose_that_was_clearly_seen() -> None:

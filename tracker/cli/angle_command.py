@@ -18,25 +18,33 @@ from .tracking_runs import (
     track_videos,
 )
 
+BACKBONE = "resnet18"
+
 
 def angle(
     videos: VideosArgument,
-    network: Annotated[
-        Path, typer.Option(help="A pretrained network, its folder or file (`bendtrack pretrain`).")
-    ],
     out: Annotated[Path, typer.Option(help="Where the results go.")] = Path("bendtrack-angles"),
+    network: Annotated[
+        Path | None,
+        typer.Option(
+            help="A pretrained network, its folder or file (`bendtrack pretrain`).",
+            show_default="the one that comes with bendtrack",
+        ),
+    ] = None,
     overlay: OverlayOption = False,
     force: ForceOption = False,
     engine: EngineOption = "auto",
     device: DeviceOption = "auto",
     threads: ThreadsOption = None,
 ) -> None:
-    """Measure without labels, with a network that knows actuators.
+    """Measure without labels.
 
     Finds the actuator in each video, and which of its ends is fixed: the one that does not move. Writes what `track`
     writes. Exit status 1 when in some video none can be seen; thirty labels are more exact.
     """
+    from ...models.shipped import working_copy
+
     paths = listed_videos(videos)
     check_writable(out)
-    detector = load_network(network, engine, device, threads)
+    detector = load_network(network or working_copy(BACKBONE), engine, device, threads)
     list_problems(track_videos(detector, None, paths, out, overlay=overlay, force=force), paths)

@@ -35,6 +35,7 @@ def doctor() -> None:
     from ...models.checkpoint import best_device
     from ...models.initialisation import imagenet_file, resolve_init
     from ...models.settings import TrainingSettings
+    from ...models.shipped import actuator_file
     from .demo_command import sample_folder
 
     lines: list[tuple[str, str]] = [
@@ -58,6 +59,8 @@ def doctor() -> None:
         lines.append(
             (f"{backbone} weights", f"{'ImageNet' if path.is_file() else 'not on this machine'}, {path}")
         )
+    shipped = [backbone for backbone in _BACKBONES_SHOWN if actuator_file(backbone).is_file()]
+    lines.append(("actuator weights", f"come with bendtrack for {', '.join(shipped) or 'no backbone'}"))
     settings = TrainingSettings()
     start = resolve_init(settings.init, settings.backbone)
     lines.append(("train would use", f"{settings.backbone} from {start} weights on {device}"))

@@ -31,7 +31,10 @@ def train(
     backbone: Annotated[str | None, typer.Option(help="resnet18, resnet34 or resnet50.")] = None,
     init: Annotated[
         str | None,
-        typer.Option(help="auto, imagenet, random or a weights file. auto takes the best on this machine."),
+        typer.Option(
+            help="auto, actuator (what comes with bendtrack), imagenet, random or a weights file.",
+            show_default="auto: the best on this machine",
+        ),
     ] = None,
     max_minutes: Annotated[float | None, typer.Option(help="End by then.")] = None,
     seed: Annotated[int | None, typer.Option(help="Everything random follows from it.")] = None,

@@ -1,0 +1,52 @@
+"""The network that comes with bendtrack: it is there, small and whole, and is compiled where that can be written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from bendtrack.models.checkpoint import load_checkpoint
+from bendtrack.models.initialisation import resolve_init
+from bendtrack.models.shipped import actuator_file, shipped_network, working_copy
+from bendtrack.tracker.errors import BendtrackError, WeightsError
+from bendtrack.tracker.synthetic.stream import KEYPOINTS
+
+LARGEST_BYTES = 25e6
+
+
+def test_what_ships_is_a_network_of_canonical_points() -> None:
+    file = shipped_network("resnet18")
+    assert file.stat().st_size <= LARGEST_BYTES
+    checkpoint = load_checkpoint(file)
+    assert checkpoint.keypoints == KEYPOINTS
+    assert checkpoint.backbone == "resnet18"
+    assert resolve_init("auto", "resnet18") == "actuator"
+
+
+def test_a_backbone_without_one_is_refused_and_auto_takes_something_else() -> None:
+    assert not actuator_file("resnet34").exists()
+    with pytest.raises(
+        WeightsError, match=r"expected a backbone that they come with \(.*resnet18.*\), got resnet34"
+    ):
+        shipped_network("resnet34")
+    assert resolve_init("auto", "resnet34") in ("imagenet", "random")
+
+
+def test_the_working_copy_is_the_same_file_in_the_cache(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    folder = working_copy("resnet18")
+    assert folder.is_relative_to(tmp_path)
+    assert (folder / "weights.safetensors").read_bytes() == actuator_file("resnet18").read_bytes()
+    before = (folder / "weights.safetensors").stat().st_mtime_ns
+    assert working_copy("resnet18") == folder
+    assert (folder / "weights.safetensors").stat().st_mtime_ns == before
+
+
+def test_a_cache_that_cannot_be_written_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "bendtrack").write_text("a file where a folder should be")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    with pytest.raises(BendtrackError, match="expected a cache folder that can be written"):
+        working_copy("resnet18")
