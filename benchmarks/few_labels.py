@@ -134,8 +134,7 @@ class Result:
 
 def judged(film: Film, detector: NetworkDetector, labelled: Sequence[int]) -> Result:
     """Track a film and compare with its truth."""
-    # A network that knows the midline counts turns along all of it.
-    table = track(film.path, detector, replace(detector.header.definition, sign=DEFINITION.sign))
+    table = track(film.path, detector, DEFINITION)
     rest = film.seen.copy()
     rest[list(labelled)] = False
     error = (table.angle_deg - film.angle_deg)[rest]

@@ -151,7 +151,7 @@ class NetworkDetector:
         return NetworkDetector(
             self.name,
             seen.header,
-            OrientedFinder(self._finder.locate, self._finder.refine, seen.fixed_xy),
+            OrientedFinder(self._finder.locate, self._finder.refine, seen.fixed_xy, seen.body_px),
             sha256=self.sha256,
             engine=self.engine,
             device=self.device,

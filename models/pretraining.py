@@ -32,6 +32,7 @@ from .cascade import Cascade
 from .checkpoint import Checkpoint, best_device
 from .dataset import Batch, PreparedFrame
 from .finder import joined
+from .inheritance import ENDS
 from .pair import Pair
 from .pretraining_figure import write_curve
 from .regions import WorkingRegion
@@ -201,7 +202,8 @@ class _Pretrainer:
             network=network.cpu().eval(),
             backbone=self.settings.backbone,
             keypoints=KEYPOINTS,
-            definition=AngleDefinition("two-vector", KEYPOINTS),
+            # Points along the midline are surer of their distance from it than of their place on it.
+            definition=AngleDefinition("two-vector", ENDS),
             regions=(region,),
             partner=PARTNER,
             # The truth is exact: all that is off is the networks'.

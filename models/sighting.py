@@ -7,20 +7,24 @@ header for this video, with which the network is put to work like any other.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ..tracker.angle import bending_angle
 from ..tracker.errors import VideoError
-from ..tracker.types import FloatArray, Frames
+from ..tracker.types import FloatArray, Frames, ImageArray
 from .calibration import LEAST_PEAK
 from .finder import Finder
 from .header import Header
 from .regions import WorkingRegion, body_length_px, find_region
 
 BoolArray = NDArray[np.bool_]
+Locate = Callable[[Frames, WorkingRegion], tuple[FloatArray, FloatArray]]
 
 FIRST_SIDES = (96, 128, 192, 256)
 """Input px of a whole frame's long side at a first look: actuators fill a fifth of a picture, or nearly all of it."""
@@ -40,6 +44,9 @@ LEAST_SEEN = 0.3
 HELD_SHARE = 0.1
 """The fixed end is found where it is held, within so much of the body's length."""
 
+COVER_SHARE = 0.2
+"""What lies within so much of the body's length of the fixed end is taken to be that end."""
+
 STILL_SHARE = 0.5
 """An end that moves by less than so much of what the other moves is the fixed one."""
 
@@ -52,28 +59,59 @@ class Sighting:
     ----------
     header : the network's for this video: region, and the angle's sign
     fixed_xy : (2,) px, where the fixed end is
+    body_px : the body's length
     seen : share of the glimpses in which the actuator was seen, held where it is in the others
     """
 
     header: Header
     fixed_xy: FloatArray
+    body_px: float
     seen: float
 
 
 @dataclass(frozen=True)
 class OrientedFinder(Finder):
-    """A finder that knows where the fixed end is: a body that is found the wrong way round is turned.
+    """A finder that knows where the fixed end is.
 
     Attributes
     ----------
-    fixed_xy : as `Sighting`'s
+    fixed_xy, body_px : as `Sighting`'s
     """
 
     fixed_xy: FloatArray
+    body_px: float
 
     def located(self, frames: Frames, region: WorkingRegion) -> tuple[FloatArray, FloatArray]:
         """As `Finder.located`."""
-        return oriented(*super().located(frames, region), self.fixed_xy)
+        return located_from(self.fixed_xy, self.body_px, super().located, frames, region)
+
+
+def located_from(
+    fixed_xy: FloatArray, body_px: float, located: Locate, frames: Frames, region: WorkingRegion
+) -> tuple[FloatArray, FloatArray]:
+    """What `located` finds, from the fixed end on: a body that is found the wrong way round is turned.
+
+    Heads that cannot tell the ends apart may all point to one. Where keypoints of the moving half are found at the
+    fixed end, that is covered up and they are looked for once more.
+    """
+    xy, likelihood = oriented(*located(frames, region), fixed_xy)
+    reach = COVER_SHARE * body_px
+    near = np.linalg.norm(xy - fixed_xy, axis=2) < reach
+    near[:, : (xy.shape[1] + 1) // 2] = False
+    doubtful = np.flatnonzero(near.any(axis=1)).tolist()
+    if doubtful:
+        again, seen = located([_covered(frames[i], fixed_xy, reach) for i in doubtful], region)
+        taken = near[doubtful]
+        xy[doubtful] = np.where(taken[..., None], again, xy[doubtful])
+        likelihood[doubtful] = np.where(taken, seen, likelihood[doubtful])
+    return xy, likelihood
+
+
+def _covered(frame: ImageArray, xy: FloatArray, radius_px: float) -> ImageArray:
+    """A frame with a disc of its mean colour on it."""
+    colour = [round(float(level)) for level in frame.mean(axis=(0, 1))]
+    centre = round(float(xy[0])), round(float(xy[1]))
+    return np.asarray(cv2.circle(frame.copy(), centre, round(radius_px), colour, -1), dtype=np.uint8)
 
 
 def oriented(xy: FloatArray, likelihood: FloatArray, fixed_xy: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -102,22 +140,24 @@ def sight(glimpses: Frames, header: Header, finder: Finder) -> Sighting:
     h, w = glimpses[0].shape[:2]
     usual = np.maximum(header.calibration.usual_peak or 1.0, LEAST_PEAK)
 
-    def look(region: WorkingRegion) -> _Look:
-        xy, peak = finder.located(glimpses, region)
+    def look(region: WorkingRegion, located: Locate = finder.located) -> _Look:
+        xy, peak = located(glimpses, region)
         return _agreed(region, xy, np.minimum(peak / usual, 1.0))
 
     whole = [WorkingRegion((w, h), 0, 0, w, h, min(1.0, side / max(w, h)), 1.0) for side in FIRST_SIDES]
     best = max((look(region) for region in whole), key=lambda found: found.worth)
     # Once more where it is, at the scale that fits it, until that settles.
     for _ in range(2):
-        best = look(_fitting_region(_seen(best), (w, h)))
+        xy = _seen(best)
+        from_there = partial(located_from, best.fixed_xy, body_length_px(xy), finder.located)
+        best = look(_fitting_region(xy, (w, h)), from_there)
     xy = _seen(best)
     angle_deg, _, _ = bending_angle(xy, header.keypoints, replace(header.definition, sign=1))
     known = angle_deg[np.isfinite(angle_deg)]
     sign = -1 if known.size and known[np.argmax(np.abs(known))] < 0 else 1
     definition = replace(header.definition, sign=sign)
     header = replace(header, regions=(best.region,), definition=definition)
-    return Sighting(header, best.fixed_xy, float(best.sound.mean()))
+    return Sighting(header, best.fixed_xy, body_length_px(xy), float(best.sound.mean()))
 
 
 @dataclass(frozen=True)

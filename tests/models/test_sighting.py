@@ -9,7 +9,7 @@ from bendtrack.models.calibration import Calibration
 from bendtrack.models.finder import Finder
 from bendtrack.models.header import Header
 from bendtrack.models.regions import WorkingRegion
-from bendtrack.models.sighting import oriented, sight
+from bendtrack.models.sighting import located_from, oriented, sight
 from bendtrack.tracker.angle import AngleDefinition, bending_angle
 from bendtrack.tracker.errors import VideoError
 
@@ -75,6 +75,27 @@ def test_frames_found_the_wrong_way_round_do_not_matter(turned: float) -> None:
     # Positive is the way it bends, whichever that is on the screen.
     angle_deg, _, _ = bending_angle(truth, KEYPOINTS, seen.header.definition)
     np.testing.assert_allclose(angle_deg, np.linspace(0, 120, 30), atol=1e-6)
+
+
+def test_keypoints_of_the_moving_end_that_are_found_at_the_fixed_one_are_looked_for_again() -> None:
+    truth = arms()
+    pictures = glimpses(30)
+    pictures[:, 200, 300] = 255  # the clamp
+
+    class Attracted(Oracle):
+        """Takes the clamp for the moving end, too, where it can see it."""
+
+        def located(self, frames, region):
+            xy, peak = super().located(frames, region)
+            clamp = [frame[200, 300].max() == 255 and index % 3 == 0 for index, frame in enumerate(frames)]
+            xy[clamp, 2:] = xy[clamp, :1]
+            return xy, peak
+
+    finder = Attracted(truth, np.full((30, 4), 0.6), noise_px=0.0)
+    assert np.ptp(finder.located(pictures, HEADER.regions[0])[0][0], axis=0).max() < 40
+    seen = sight(pictures, HEADER, finder)
+    found, _ = located_from(seen.fixed_xy, seen.body_px, finder.located, pictures, HEADER.regions[0])
+    np.testing.assert_array_equal(found, truth)
 
 
 def test_what_does_not_move_is_taken_as_the_network_says() -> None:
