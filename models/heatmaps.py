@@ -98,7 +98,8 @@ def cell_loss(maps: Maps, xy: Tensor, known: Tensor, present: Tensor) -> Tensor:
 
 def _steps(maps: Maps, xy: Tensor) -> tuple[Tensor, Tensor]:
     """From the cells' centres to keypoints (N, K, 2): x (N, K, 1, w) and y (N, K, h, 1) input px."""
-    cx, cy = cell_centres(*maps.heat.shape[2:], maps.heat.device)
+    h, w = maps.heat.shape[2:]
+    cx, cy = cell_centres(h, w, maps.heat.device)
     return xy[..., 0, None, None] - cx[None, None, None, :], xy[..., 1, None, None] - cy[None, None, :, None]
 
 
