@@ -122,25 +122,28 @@ class Result:
 
     Attributes
     ----------
-    found, sound : share of those frames with an angle, and without a flag
+    found : share of those frames with an angle; without labels, of those that are not flagged
     minutes : of training
     """
 
     rmse_deg: float
     found: float
-    sound: float
     minutes: float = 0.0
 
 
-def judged(film: Film, detector: NetworkDetector, labelled: Sequence[int]) -> Result:
-    """Track a film and compare with its truth."""
+def judged(
+    film: Film, detector: NetworkDetector, labelled: Sequence[int] = (), *, unflagged: bool = False
+) -> Result:
+    """Track a film and compare with its truth, frames that are flagged only where wanted."""
     table = track(film.path, detector, DEFINITION)
     rest = film.seen.copy()
     rest[list(labelled)] = False
     error = (table.angle_deg - film.angle_deg)[rest]
     known = np.isfinite(error)
+    if unflagged:
+        known &= table.flag[rest] == ""
     rmse_deg = rms(error[known]) if known.any() else float("nan")
-    return Result(rmse_deg, float(known.mean()), float((table.flag[rest] == "").mean()))
+    return Result(rmse_deg, float(known.mean()))
 
 
 def judged_unlabelled(film: Film, network: Path) -> Result:
@@ -149,8 +152,8 @@ def judged_unlabelled(film: Film, network: Path) -> Result:
         detector = load_network(network).for_video(spread_frames(film.path, GLIMPSES))
     except VideoError as error:
         print(f"    {error}")
-        return Result(float("nan"), 0.0, 0.0)
-    return judged(film, detector, [])
+        return Result(float("nan"), 0.0)
+    return judged(film, detector, unflagged=True)
 
 
 def network_of(start: str) -> Path | None:
@@ -182,7 +185,7 @@ def results_of(
         results[str(count)] = replace(got, minutes=minutes)
     if max(counts):
         detector = NetworkDetector.load(folder / f"model-{max(counts)}")
-        results[OTHER_LIGHT] = judged(other, detector, [])
+        results[OTHER_LIGHT] = judged(other, detector)
     return results
 
 
@@ -240,7 +243,7 @@ def main() -> None:
             print(
                 f"  {Path(init).name:12s} {key:>6s}  L {length:5.1f} px  angle RMSE {result.rmse_deg:7.3f} degrees"
                 f"  {result.rmse_deg / floor:6.2f} of the floor  {100 * result.found:5.1f} % found"
-                f"  {100 * result.sound:5.1f} % sound  training {result.minutes:.1f} min",
+                f"  training {result.minutes:.1f} min",
                 flush=True,
             )
     print(

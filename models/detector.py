@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from .compiled import ENGINES, compiled_finder, engine_record
 from .finder import Finder
 from .following import Follower
 from .header import Header, read_header, weights_file
+from .regions import WorkingRegion
 from .sighting import OrientedFinder, sight
 
 TORCH = "torch"
@@ -53,6 +54,7 @@ class NetworkDetector:
         engine: str,
         device: str,
         workers: int = 1,
+        doubted: Callable[[Detections], Detections] | None = None,
     ) -> None:
         self.name = name
         self.header = header
@@ -61,6 +63,7 @@ class NetworkDetector:
         self.device = device
         self._finder = finder
         self._workers = workers
+        self._doubted = doubted
 
     @classmethod
     def load(
@@ -137,7 +140,12 @@ class NetworkDetector:
         """Keypoints of frames of one size, each found by itself."""
         h, w = frames[0].shape[:2]
         region = self.header.region_for((w, h))
-        return self.header.calibrated(self._finder.detect(frames, region, self.header.partner), region)
+        return self.believed(self._finder.detect(frames, region, self.header.partner), region)
+
+    def believed(self, found: Detections, region: WorkingRegion) -> Detections:
+        """What the networks found in frames of a region, calibrated, and doubted where a video says so."""
+        found = self.header.calibrated(found, region)
+        return found if self._doubted is None else self._doubted(found)
 
     def for_video(self, glimpses: Frames) -> NetworkDetector:
         """This network for one video in which nobody has labelled anything, from frames spread over it.
@@ -156,6 +164,7 @@ class NetworkDetector:
             engine=self.engine,
             device=self.device,
             workers=self._workers,
+            doubted=seen.doubted,
         )
 
     @property
@@ -175,7 +184,9 @@ class NetworkDetector:
 
     def follow(self) -> NetworkDetector | FollowingDetector:
         """A detector for consecutive frames, fresh."""
-        return FollowingDetector(self, Follower(self._finder, self.header)) if self._follows else self
+        if not self._follows:
+            return self
+        return FollowingDetector(self, Follower(self._finder, self.header, self.believed))
 
     @property
     def _follows(self) -> bool:

@@ -7,7 +7,7 @@ it were the first; and every so often the locator says whether it would look els
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,6 +16,7 @@ from ..tracker.types import Detections, FloatArray, Frames
 from .calibration import LEAST_PEAK
 from .finder import Finder, IntArray, cut_patch, foretold, joined, on_grid
 from .header import Header
+from .regions import WorkingRegion
 from .stillness import Sight
 
 AHEAD = 2
@@ -39,6 +40,8 @@ ENOUGH = 4
 SAME_PLACE = 0.75
 """Steps of the grid that a keypoint at rest may lie from where it is compared."""
 
+Believed = Callable[[Detections, WorkingRegion], Detections]
+
 
 @dataclass
 class _Known:
@@ -60,11 +63,17 @@ class _Known:
 
 
 class Follower:
-    """Finds the keypoints in the frames of one video, given in order."""
+    """Finds the keypoints in the frames of one video, given in order.
 
-    def __init__(self, finder: Finder, header: Header) -> None:
+    Parameters
+    ----------
+    believed : what is made of what was found in a region; None calibrates it
+    """
+
+    def __init__(self, finder: Finder, header: Header, believed: Believed | None = None) -> None:
         self._finder = finder
         self._header = header
+        self._believed = believed or header.calibrated
         usual = np.array(header.calibration.usual_peak or [1.0] * len(header.keypoints))
         self._sure = SURE_SHARE * np.maximum(usual, LEAST_PEAK)
         self._last: FloatArray | None = None
@@ -85,7 +94,7 @@ class Follower:
         begin = 1 if self._last is None else 0
         parts = [self._next(frames[:begin])] if begin else []
         parts += [self._next(frames[i : i + AHEAD]) for i in range(begin, len(frames), AHEAD)]
-        return self._header.calibrated(joined(parts), self._region)
+        return self._believed(joined(parts), self._region)
 
     def _next(self, frames: Frames) -> Detections:
         if self._last is None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..tracker.angle import bending_angle
 from ..tracker.errors import VideoError
-from ..tracker.types import FloatArray, Frames, ImageArray
+from ..tracker.types import Detections, FloatArray, Frames, ImageArray
 from .calibration import LEAST_PEAK
 from .finder import Finder
 from .header import Header
@@ -44,6 +44,12 @@ LEAST_SEEN = 0.3
 HELD_SHARE = 0.1
 """The fixed end is found where it is held, within so much of the body's length."""
 
+ALIKE_SHARE = 0.3
+"""How far an end's length may be from its usual one, as a share of that: ends do not stretch, but may turn away."""
+
+LEAST_SAME = 0.6
+"""Share of the glimpses that must show the same actuator, or the angles would be mostly guessed."""
+
 COVER_SHARE = 0.2
 """What lies within so much of the body's length of the fixed end is taken to be that end."""
 
@@ -60,13 +66,20 @@ class Sighting:
     header : the network's for this video: region, and the angle's sign
     fixed_xy : (2,) px, where the fixed end is
     body_px : the body's length
-    seen : share of the glimpses in which the actuator was seen, held where it is in the others
+    ends_px : (2,) px, lengths of the fixed and the moving end, which a bend does not change
+    seen : share of the glimpses in which the actuator was seen, held where it is in the others and of one shape
     """
 
     header: Header
     fixed_xy: FloatArray
     body_px: float
+    ends_px: FloatArray
     seen: float
+
+    def doubted(self, found: Detections) -> Detections:
+        """What was found in frames of the video; nothing is believed of a frame that shows another actuator."""
+        same = _same(found.xy, self.fixed_xy, self.body_px, self.ends_px)
+        return replace(found, likelihood=np.where(same[:, None], found.likelihood, 0.0))
 
 
 @dataclass(frozen=True)
@@ -151,13 +164,32 @@ def sight(glimpses: Frames, header: Header, finder: Finder) -> Sighting:
         xy = _seen(best)
         from_there = partial(located_from, best.fixed_xy, body_length_px(xy), finder.located)
         best = look(_fitting_region(xy, (w, h)), from_there)
-    xy = _seen(best)
-    angle_deg, _, _ = bending_angle(xy, header.keypoints, replace(header.definition, sign=1))
-    known = angle_deg[np.isfinite(angle_deg)]
-    sign = -1 if known.size and known[np.argmax(np.abs(known))] < 0 else 1
-    definition = replace(header.definition, sign=sign)
+    body_px = body_length_px(_seen(best))
+    xy = finder.refined(glimpses, best.xy, best.region, header.partner).xy
+    fixed_xy = np.median(xy[best.sound, 0], axis=0)
+    ends_px = np.median(_ends_px(xy[best.sound]), axis=0)
+    same = best.sound & _same(xy, fixed_xy, body_px, ends_px)
+    if same.mean() < LEAST_SAME:
+        raise VideoError(
+            f"expected an actuator whose ends keep their lengths, got one in {100 * same.mean():.0f} % of the frames"
+            " looked at; label some frames: `bendtrack new`"
+        )
+    angle_deg, _, _ = bending_angle(xy[same], header.keypoints, replace(header.definition, sign=1))
+    definition = replace(header.definition, sign=-1 if np.nansum(angle_deg) < 0 else 1)
     header = replace(header, regions=(best.region,), definition=definition)
-    return Sighting(header, best.fixed_xy, body_length_px(xy), float(best.sound.mean()))
+    return Sighting(header, fixed_xy, body_px, ends_px, float(same.mean()))
+
+
+def _ends_px(xy: FloatArray) -> FloatArray:
+    """Lengths (N, 2) px of the fixed and the moving end of chains (N, K, 2) px."""
+    return np.linalg.norm(xy[:, [1, -1]] - xy[:, [0, -2]], axis=2)
+
+
+def _same(xy: FloatArray, fixed_xy: FloatArray, body_px: float, ends_px: FloatArray) -> BoolArray:
+    """Frames (N,) in which chains (N, K, 2) px are held at the fixed end and have ends of the right lengths."""
+    held = np.linalg.norm(xy[:, 0] - fixed_xy, axis=1) <= HELD_SHARE * body_px
+    alike = np.abs(_ends_px(xy) - ends_px) <= ALIKE_SHARE * ends_px
+    return np.asarray(held & alike.all(axis=1))
 
 
 @dataclass(frozen=True)

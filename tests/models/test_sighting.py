@@ -12,6 +12,7 @@ from bendtrack.models.regions import WorkingRegion
 from bendtrack.models.sighting import located_from, oriented, sight
 from bendtrack.tracker.angle import AngleDefinition, bending_angle
 from bendtrack.tracker.errors import VideoError
+from bendtrack.tracker.types import Detections
 
 KEYPOINTS = ("base_1", "base_2", "tip_1", "tip_2")
 SIZE_WH = (640, 480)
@@ -43,6 +44,10 @@ class Oracle(Finder):
     def located(self, frames, region):
         chosen = [int(frame[0, 0, 0]) for frame in frames]
         return self.xy[chosen].copy(), self.peak[chosen].copy()
+
+    def refined(self, frames, xy, region, partner):
+        n, k = xy.shape[:2]
+        return Detections(xy.copy(), np.ones((n, k)), np.zeros((n, k, 2, 2)))
 
 
 def glimpses(n: int) -> np.ndarray:
@@ -138,3 +143,23 @@ def test_glimpses_that_disagree_with_the_others_do_not_count() -> None:
     assert seen.seen == pytest.approx(0.8)
     region = seen.header.region_for(SIZE_WH)
     assert region.left + region.width < xy[::5, :, 0].max()
+
+
+def test_ends_that_change_their_length_are_not_those_of_one_actuator() -> None:
+    xy = arms()
+    xy[:13, 3] = xy[:13, 2] + 2.5 * (xy[:13, 3] - xy[:13, 2])
+    with pytest.raises(
+        VideoError, match="expected an actuator whose ends keep their lengths, got one in 57 %"
+    ):
+        sight(glimpses(30), HEADER, Oracle(xy, np.full((30, 4), 0.6)))
+
+
+def test_nothing_is_believed_of_a_frame_with_another_shape() -> None:
+    truth = arms()
+    seen = sight(glimpses(30), HEADER, Oracle(truth, np.full((30, 4), 0.6)))
+    np.testing.assert_allclose(seen.ends_px, 30, atol=2)
+    strange = truth[[5, 6, 7]].copy()
+    strange[1, 3] = strange[1, 2]  # both points of the tip at one place
+    strange[2] += 60  # not where it is held
+    found = seen.doubted(Detections(strange, np.full((3, 4), 0.9), np.zeros((3, 4, 2, 2))))
+    assert found.likelihood.min(axis=1).tolist() == [0.9, 0.0, 0.0]
