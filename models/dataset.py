@@ -120,9 +120,9 @@ def locator_batch(
     size_wh: tuple[int, int],
     rng: Rng,
     *,
-    change: PictureChange = augment.change_picture,
+    change: PictureChange | None = None,
 ) -> Batch:
-    """Random crops at the locator's scale of the frames `chosen`, by their keys; `change` is done to each."""
+    """Random crops at the locator's scale of the frames `chosen`, by their keys; `change` (None: a webcam's) is done to each."""
     images, targets, known, present = [], [], [], []
     for index in chosen:
         frame = frames[index]
@@ -142,7 +142,7 @@ def locator_batch(
         turn = np.deg2rad(rng.uniform(-MAX_TURN_DEG, MAX_TURN_DEG)) if rng.random() < 0.7 else 0.0
         view = centred_view(middle, size_wh, np.exp(rng.uniform(-0.2, 0.2)), turn)
         picture, mask = augment.occlude(view.cut(frame.coarse), rng)
-        images.append(change(picture, rng))
+        images.append((change or augment.change_picture)(picture, rng))
         xy = view.to_input(points)
         targets.append(xy)
         known.append(labelled)
@@ -157,7 +157,7 @@ def refiner_batch(
     rng: Rng,
     *,
     most: int | None = None,
-    change: PictureChange = augment.change_picture,
+    change: PictureChange | None = None,
 ) -> Batch:
     """One random patch around each labelled keypoint of the frames `chosen`, by their keys; of `most` of a frame's."""
     images, targets, known, present = [], [], [], []
@@ -178,7 +178,7 @@ def refiner_batch(
             shift = np.clip(rng.normal(0, PATCH_SHIFT_PX, size=2), -16, 16) / zoom
             view = patch_view(points[k] + shift, zoom * np.exp(rng.normal(0, 0.06)), turn)
             picture, mask = augment.occlude(view.cut(frame.fine), rng, share=0.2)
-            images.append(change(picture, rng))
+            images.append((change or augment.change_picture)(picture, rng))
             xy = view.to_input(points)
             targets.append(xy)
             known.append(labelled)
