@@ -122,7 +122,10 @@ def locator_batch(
     *,
     change: PictureChange | None = None,
 ) -> Batch:
-    """Random crops at the locator's scale of the frames `chosen`, by their keys; `change` (None: a webcam's) is done to each."""
+    """Random crops at the locator's scale of the frames `chosen`, by their keys.
+
+    change : what is done to each picture; None does what a webcam could have done
+    """
     images, targets, known, present = [], [], [], []
     for index in chosen:
         frame = frames[index]

@@ -228,7 +228,7 @@ def test_a_project_that_cannot_be_trained(bendtrack, project: Project, case: str
         (
             "--init",
             "nowhere.pth",
-            "--init: expected auto, imagenet, random or a weights file, got nowhere.pth",
+            "--init: expected auto, actuator, imagenet, random or a weights file, got nowhere.pth",
         ),
         ("--name", "../up", "network name: expected letters"),
     ],
