@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from bendtrack.models.checkpoint import load_checkpoint
-from bendtrack.models.initialisation import resolve_init
 from bendtrack.models.shipped import actuator_file, shipped_network, working_copy
 from bendtrack.tracker.errors import BendtrackError, WeightsError
 from bendtrack.tracker.synthetic.stream import KEYPOINTS
@@ -21,16 +20,14 @@ def test_what_ships_is_a_network_of_canonical_points() -> None:
     checkpoint = load_checkpoint(file)
     assert checkpoint.keypoints == KEYPOINTS
     assert checkpoint.backbone == "resnet18"
-    assert resolve_init("auto", "resnet18") == "actuator"
 
 
-def test_a_backbone_without_one_is_refused_and_auto_takes_something_else() -> None:
+def test_a_backbone_without_one_is_refused() -> None:
     assert not actuator_file("resnet34").exists()
     with pytest.raises(
         WeightsError, match=r"expected a backbone that they come with \(.*resnet18.*\), got resnet34"
     ):
         shipped_network("resnet34")
-    assert resolve_init("auto", "resnet34") in ("imagenet", "random")
 
 
 def test_the_working_copy_is_the_same_file_in_the_cache(
