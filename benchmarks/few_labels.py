@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from rendered import rms
 
 from bendtrack.models.detector import NetworkDetector
-from bendtrack.models.inheritance import parent_of
+from bendtrack.models.inheritance import ENDS, parent_of
 from bendtrack.models.settings import TrainingSettings
 from bendtrack.models.shipped import working_copy
 from bendtrack.models.training import train
@@ -54,7 +54,6 @@ from bendtrack.tracker.video_writer import VideoWriter
 STREAM = 777
 """Seed of the looks. Nothing was tuned on them."""
 
-ENDS = ("base_1", "base_2", "tip_1", "tip_2")
 DEFINITION = AngleDefinition("two-vector", ENDS)
 SIZE_WH = (640, 480)
 NOISE_PX = 1.0

@@ -13,17 +13,15 @@ from functools import partial
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ..tracker.angle import bending_angle
 from ..tracker.errors import VideoError
 from ..tracker.types import Detections, FloatArray, Frames, ImageArray
 from .calibration import LEAST_PEAK
-from .finder import Finder
+from .finder import BoolArray, Finder
 from .header import Header
 from .regions import WorkingRegion, body_length_px, find_region
 
-BoolArray = NDArray[np.bool_]
 Locate = Callable[[Frames, WorkingRegion], tuple[FloatArray, FloatArray]]
 
 FIRST_SIDES = (96, 128, 192, 256)
@@ -187,9 +185,13 @@ def _ends_px(xy: FloatArray) -> FloatArray:
 
 def _same(xy: FloatArray, fixed_xy: FloatArray, body_px: float, ends_px: FloatArray) -> BoolArray:
     """Frames (N,) in which chains (N, K, 2) px are held at the fixed end and have ends of the right lengths."""
-    held = np.linalg.norm(xy[:, 0] - fixed_xy, axis=1) <= HELD_SHARE * body_px
     alike = np.abs(_ends_px(xy) - ends_px) <= ALIKE_SHARE * ends_px
-    return np.asarray(held & alike.all(axis=1))
+    return np.asarray(_held(xy, fixed_xy, body_px) & alike.all(axis=1))
+
+
+def _held(xy: FloatArray, fixed_xy: FloatArray, body_px: float) -> BoolArray:
+    """Frames (N,) in which chains (N, K, 2) px begin where the actuator is held."""
+    return np.asarray(np.linalg.norm(xy[:, 0] - fixed_xy, axis=1) <= HELD_SHARE * body_px)
 
 
 @dataclass(frozen=True)
@@ -217,8 +219,7 @@ def _agreed(region: WorkingRegion, xy: FloatArray, likelihood: FloatArray) -> _L
     clear = np.median(likelihood, axis=1) >= SURE
     fixed_xy = _fixed_end(xy[clear]) if clear.any() else np.full(2, np.nan)
     xy, likelihood = oriented(xy, likelihood, fixed_xy)
-    off = np.linalg.norm(xy[:, 0] - fixed_xy, axis=1)
-    sound = clear & (off <= HELD_SHARE * body_length_px(xy[clear]))
+    sound = clear & _held(xy, fixed_xy, body_length_px(xy[clear]))
     worth = float(np.where(sound, likelihood.mean(axis=1), 0.0).mean())
     return _Look(region, xy, clear, sound, fixed_xy, worth)
 
