@@ -23,7 +23,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from rendered import rms
 
 from bendtrack.models.detector import NetworkDetector
@@ -47,7 +46,7 @@ from bendtrack.tracker.synthetic.stream import (
     inflation_deg,
 )
 from bendtrack.tracker.tracking import track
-from bendtrack.tracker.types import FloatArray, LabelledFrame
+from bendtrack.tracker.types import BoolArray, FloatArray, LabelledFrame
 from bendtrack.tracker.video import Video, spread_frames
 from bendtrack.tracker.video_writer import VideoWriter
 
@@ -69,7 +68,7 @@ class Film:
     path: Path
     xy: FloatArray
     angle_deg: FloatArray
-    seen: NDArray[np.bool_]
+    seen: BoolArray
 
 
 def filmed(path: Path, look: Look, frames: int) -> Film:
@@ -85,13 +84,6 @@ def filmed(path: Path, look: Look, frames: int) -> Film:
             angle_deg.append(sample.angle_deg)
             seen.append(sample.visible[ends].all())
     return Film(path, np.array(xy), np.array(angle_deg), np.array(seen))
-
-
-def seen_share(look: Look) -> float:
-    """Share of frames of a look's inflation in which all four points can be seen."""
-    stage = Stage(look)
-    ends = [KEYPOINTS.index(name) for name in ENDS]
-    return float(np.mean([stage.frame(float(b)).visible[ends].all() for b in inflation_deg(look, 20)]))
 
 
 def labels_of(film: Film, count: int, folder: Path) -> list[LabelledFrame]:
@@ -189,19 +181,17 @@ def results_of(
 
 
 def rows_of(
-    look: Look, counts: Sequence[int], starts: Sequence[str], args: argparse.Namespace
+    film: Film, look: Look, counts: Sequence[int], starts: Sequence[str], args: argparse.Namespace
 ) -> Iterator[tuple[str, str, Result, float]]:
     """Start, number of labels or `OTHER_LIGHT`, result, and length of the shorter end in px, as they come."""
-    with tempfile.TemporaryDirectory(prefix="bendtrack-few-labels-") as name:
-        folder = Path(name)
-        film = filmed(folder / "film.mp4", look, args.frames)
-        moved = before_other_background(in_other_light(look, STREAM), STREAM)
-        other = filmed(folder / "other.mp4", moved, args.frames)
-        length = end_vector_px(film.xy, ENDS, DEFINITION)
-        for number, init in enumerate(starts):
-            results = results_of(film, other, folder / str(number), counts, init, args.steps)
-            for key, result in results.items():
-                yield init, key, result, length
+    folder = film.path.parent
+    moved = before_other_background(in_other_light(look, STREAM), STREAM)
+    other = filmed(folder / "other.mp4", moved, args.frames)
+    length = end_vector_px(film.xy, ENDS, DEFINITION)
+    for number, init in enumerate(starts):
+        results = results_of(film, other, folder / str(number), counts, init, args.steps)
+        for key, result in results.items():
+            yield init, key, result, length
 
 
 def main() -> None:
@@ -226,25 +216,26 @@ def main() -> None:
     index, todo = args.first, args.looks
     while todo:
         look = drawn_look(stream, index, size_wh=SIZE_WH, families=families, bend_deg=(0.0, 180.0))
-        seen = seen_share(look)
-        print(
-            f"\nlook {index}: {', '.join(vars(look.words).values())}; all points in sight in {100 * seen:.0f} %"
-        )
-        index += 1
-        if seen < LEAST_SEEN:
-            continue
-        todo -= 1
-        for init, key, result, length in rows_of(look, counts, starts, args):
-            # Without labels there is no label noise.
-            labels = max(counts) if key == OTHER_LIGHT else int(key)
-            floor = label_noise_floor_deg(NOISE_PX, labels, length) if labels else float("nan")
-            rows.setdefault((init, key), []).append((result, floor))
-            print(
-                f"  {Path(init).name:12s} {key:>6s}  L {length:5.1f} px  angle RMSE {result.rmse_deg:7.3f} degrees"
-                f"  {result.rmse_deg / floor:6.2f} of the floor  {100 * result.found:5.1f} % found"
-                f"  training {result.minutes:.1f} min",
-                flush=True,
-            )
+        with tempfile.TemporaryDirectory(prefix="bendtrack-few-labels-") as name:
+            film = filmed(Path(name) / "film.mp4", look, args.frames)
+            seen = float(film.seen.mean())
+            words = ", ".join(vars(look.words).values())
+            print(f"\nlook {index}: {words}; all points in sight in {100 * seen:.0f} %")
+            index += 1
+            if seen < LEAST_SEEN:
+                continue
+            todo -= 1
+            for init, key, result, length in rows_of(film, look, counts, starts, args):
+                # Without labels there is no label noise.
+                labels = max(counts) if key == OTHER_LIGHT else int(key)
+                floor = label_noise_floor_deg(NOISE_PX, labels, length) if labels else float("nan")
+                rows.setdefault((init, key), []).append((result, floor))
+                print(
+                    f"  {Path(init).name:12s} {key:>6s}  L {length:5.1f} px  angle RMSE {result.rmse_deg:7.3f} degrees"
+                    f"  {result.rmse_deg / floor:6.2f} of the floor  {100 * result.found:5.1f} % found"
+                    f"  training {result.minutes:.1f} min",
+                    flush=True,
+                )
     print(
         "\nmedian (lowest to highest) over the looks; goals: 3 degrees and 95 % found without labels, 1.5 of the floor"
         " with, 2 degrees in other light"

@@ -15,9 +15,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..tracker.types import Detections, FloatArray
+from ..tracker.types import BoolArray, Detections, FloatArray
 
 MEDIAN_CHI2 = float(np.log(4.0))
 """Median squared Mahalanobis distance of a two-dimensional Gaussian."""
@@ -73,7 +72,7 @@ def calibrate(
     return Calibration(scale, label_sd, n, usual_peaks(trained.likelihood, known))
 
 
-def usual_peaks(likelihood: FloatArray, known: NDArray[np.bool_]) -> tuple[float, ...]:
+def usual_peaks(likelihood: FloatArray, known: BoolArray) -> tuple[float, ...]:
     """For each keypoint the median peak of heatmaps (N, K) where it is known (N, K) to be there."""
     return tuple(
         float(np.median(own[seen])) if seen.any() else 1.0

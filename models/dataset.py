@@ -11,16 +11,14 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ..tracker.errors import LabelError
-from ..tracker.types import FloatArray, ImageArray, LabelledFrame
+from ..tracker.types import BoolArray, FloatArray, ImageArray, LabelledFrame
 from . import augment
 from .regions import WorkingRegion, patch_directions
 from .views import PATCH_SIDE, View, centred_view, patch_view, resize, resized_view
 
 Rng = np.random.Generator
-BoolArray = NDArray[np.bool_]
 PictureChange = Callable[[ImageArray, Rng], ImageArray]
 
 MAX_TURN_DEG = 30.0

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..tracker.types import Detections, FloatArray, Frames, ImageArray
+from ..tracker.types import BoolArray, Detections, FloatArray, Frames, ImageArray, IntArray
 from .regions import WorkingRegion, patch_directions
 from .views import PATCH_SIDE, View, patch_view, resize, resized_view
 
@@ -40,10 +39,6 @@ class Reader(Protocol):
 
     def __call__(self, pictures: ImageArray) -> Detections:
         """Every keypoint in pictures (N, 3, H, W) uint8 RGB, positions and covariances in their own px."""
-
-
-IntArray = NDArray[np.int_]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

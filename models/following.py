@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..tracker.types import Detections, FloatArray, Frames
+from ..tracker.types import Detections, FloatArray, Frames, IntArray
 from .calibration import LEAST_PEAK
-from .finder import Finder, IntArray, cut_patch, foretold, joined, on_grid
+from .finder import Finder, cut_patch, foretold, joined, on_grid
 from .header import Header
 from .regions import WorkingRegion
 from .stillness import Sight

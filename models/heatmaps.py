@@ -60,9 +60,9 @@ def heatmap_loss(maps: Maps, xy: Tensor, known: Tensor, present: Tensor) -> dict
     n, k, h, w = maps.heat.shape
     dx, dy = _steps(maps, xy)
     seen = (known & present)[..., None, None]
-    distance2 = (dx**2 + dy**2) / STRIDE**2
+    distance2 = _cells2(dx, dy)
     distance2 = torch.where(seen, distance2, torch.full_like(distance2, 1e9))
-    target = torch.exp(-distance2 / (2 * HEAT_SD_CELLS**2))
+    target = _bump(distance2)
 
     log_p, log_q = F.logsigmoid(maps.heat), F.logsigmoid(-maps.heat)
     # Focal weights on a soft target: a cell is pushed by how far its probability is from the bump's height.
@@ -89,7 +89,7 @@ def cell_loss(maps: Maps, xy: Tensor, known: Tensor, present: Tensor) -> Tensor:
     helps where looks are endless; for thirty frames the focal loss does.
     """
     dx, dy = _steps(maps, xy)
-    target = torch.exp(-(dx**2 + dy**2) / (2 * (HEAT_SD_CELLS * STRIDE) ** 2)).flatten(2)
+    target = _bump(_cells2(dx, dy)).flatten(2)
     target = target / target.sum(dim=2, keepdim=True).clamp(min=1e-6)
     seen = (known & present).float()
     entropy = -(target * maps.heat.flatten(2).log_softmax(dim=2)).sum(dim=2)
@@ -101,6 +101,16 @@ def _steps(maps: Maps, xy: Tensor) -> tuple[Tensor, Tensor]:
     h, w = maps.heat.shape[2:]
     cx, cy = cell_centres(h, w, maps.heat.device)
     return xy[..., 0, None, None] - cx[None, None, None, :], xy[..., 1, None, None] - cy[None, None, :, None]
+
+
+def _cells2(dx: Tensor, dy: Tensor) -> Tensor:
+    """Squared distances in cells, from steps in input px."""
+    return (dx**2 + dy**2) / STRIDE**2
+
+
+def _bump(distance2: Tensor) -> Tensor:
+    """What the heat should be, at squared distances in cells from a keypoint."""
+    return torch.exp(-distance2 / (2 * HEAT_SD_CELLS**2))
 
 
 def _gaussian_nll(residual: Tensor, spread: Tensor) -> Tensor:

@@ -16,9 +16,9 @@ import numpy as np
 
 from ..tracker.angle import bending_angle
 from ..tracker.errors import VideoError
-from ..tracker.types import Detections, FloatArray, Frames, ImageArray
+from ..tracker.types import BoolArray, Detections, FloatArray, Frames, ImageArray
 from .calibration import LEAST_PEAK
-from .finder import BoolArray, Finder
+from .finder import Finder
 from .header import Header
 from .regions import WorkingRegion, body_length_px, find_region
 

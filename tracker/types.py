@@ -26,6 +26,8 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.floating[Any]]
 ImageArray = NDArray[np.uint8]
+IntArray = NDArray[np.int_]
+BoolArray = NDArray[np.bool_]
 
 Frames = Sequence[ImageArray] | ImageArray
 """RGB frames of one size, N of (H, W, 3) uint8, apart or as one array."""

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..types import FloatArray
+from ..types import BoolArray, FloatArray
 from .log_clock import usual_step_s
 
 # Less than this is no actuation but noise.
@@ -20,7 +19,7 @@ _ATMOSPHERE_KPA = 80.0
 _HELD_S = 0.05
 
 
-def pressure_faults(time_s: FloatArray, pressure_kpa: FloatArray) -> tuple[list[str], NDArray[np.bool_]]:
+def pressure_faults(time_s: FloatArray, pressure_kpa: FloatArray) -> tuple[list[str], BoolArray]:
     """Warnings about a pressure (M,) kPa at rising times (M,) s, each opens with its name; saturated samples (M,)."""
     warnings = []
     saturated = np.zeros(len(pressure_kpa), dtype=bool)
@@ -66,7 +65,7 @@ def _held_samples(values: FloatArray) -> int:
     return apart if apart < 100 else 1
 
 
-def _saturation(values: FloatArray, held: int, step_s: float) -> tuple[list[str], NDArray[np.bool_]]:
+def _saturation(values: FloatArray, held: int, step_s: float) -> tuple[list[str], BoolArray]:
     """An upper or lower end that is held exactly, where the other values are not: warnings, and which samples."""
     starts = np.concatenate([[0], np.flatnonzero(np.diff(values) != 0) + 1])
     lengths = np.diff(np.concatenate([starts, [len(values)]]))

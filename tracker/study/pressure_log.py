@@ -12,10 +12,9 @@ from typing import Any
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import PressureLogError
-from ..types import FloatArray
+from ..types import BoolArray, FloatArray
 from ..video import file_sha256
 from .csv_log import csv_columns
 from .log_clock import order_clock, usual_step_s
@@ -57,7 +56,7 @@ class PressureLog:
     sync: FloatArray | None = None
     started_s: float | None = None
     time_sd_s: float = 0.0
-    saturated: NDArray[np.bool_] | None = None
+    saturated: BoolArray | None = None
     warnings: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 

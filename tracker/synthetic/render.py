@@ -7,9 +7,8 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from ..types import FloatArray, ImageArray
+from ..types import BoolArray, FloatArray, ImageArray
 from .camera import NoisePool, blur_reach_px, blurred, developed
 from .geometry import HIDDEN_PX, SEGMENTS, Midline
 from .looks import KEYPOINTS, Look
@@ -40,7 +39,7 @@ class RenderedFrame:
     image: ImageArray
     keypoints: tuple[str, ...]
     xy: FloatArray
-    visible: NDArray[np.bool_]
+    visible: BoolArray
     angle_deg: float
     midline: FloatArray
 

@@ -32,10 +32,8 @@ def cut(rng: np.random.Generator, shape: tuple[int, int], cell_px: float = 1.0) 
         pool = cv2.copyMakeBorder(
             pool, 0, max(rows - _SIDE + 8, 0), 0, max(columns - _SIDE + 8, 0), cv2.BORDER_REFLECT
         )
-    top = int(rng.integers(pool.shape[0] - rows + 1))
-    left = int(rng.integers(pool.shape[1] - columns + 1))
+    field = _anywhere(rng, pool, shape)
     turn = int(rng.integers(4))
-    field = pool[top : top + rows, left : left + columns]
     # OpenCV wants a flipped field copied, and flips it faster.
     return cv2.flip(field, turn - 2) if turn else field
 
@@ -58,6 +56,12 @@ def sensor_noise(rng: np.random.Generator, shape: tuple[int, int], cell_px: floa
     rows, columns = shape
     if rows > _SIDE - 8 or columns > _SIDE - 8:
         pool = np.tile(pool, (-(-(rows + 8) // _SIDE), -(-(columns + 8) // _SIDE), 1))
+    return _anywhere(rng, pool, shape)
+
+
+def _anywhere(rng: np.random.Generator, pool: FloatArray, shape: tuple[int, int]) -> FloatArray:
+    """A part of a pool."""
+    rows, columns = shape
     top = int(rng.integers(pool.shape[0] - rows + 1))
     left = int(rng.integers(pool.shape[1] - columns + 1))
     return pool[top : top + rows, left : left + columns]

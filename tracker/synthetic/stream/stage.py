@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from ...types import FloatArray, ImageArray
+from ...types import BoolArray, FloatArray, ImageArray
 from .backgrounds import background
 from .chain import DENSE, KEYPOINTS, Chain, Projection, opposite, turn_in_picture_deg
 from .clamps import clamp, reach
@@ -41,7 +40,7 @@ class Sample:
     picture: ImageArray
     midline_xy: FloatArray
     keypoints_xy: FloatArray
-    visible: NDArray[np.bool_]
+    visible: BoolArray
     angle_deg: float
     look: Look
 
