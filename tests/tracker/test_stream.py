@@ -295,6 +295,21 @@ def test_a_video_moves_the_tip_and_leaves_the_base():
     np.testing.assert_array_equal(Stage(look).frame(bends[3], noise_seed=3).picture, samples[3].picture)
 
 
+def test_what_lies_over_the_body_does_not_move_with_it():
+    look = drawn_look(8, 1, bend_deg=(0, 160), size_wh=(256, 256))
+    look = dc.replace(look, sensor=clear(look), place=dc.replace(look.place, second_arm=None))
+    changes = []
+    for bend in (0, 160):
+        free, covered = (
+            Stage(dc.replace(look, scene=dc.replace(look.scene, occluders=count))).frame(bend).picture
+            for count in (0, 1)
+        )
+        changes.append(np.abs(free.astype(int) - covered).max(axis=2) > 40)
+    assert changes[0].sum() > 200
+    # Where the body is before it, or behind it, less or more of it stands out.
+    assert (changes[0] & changes[1]).sum() > 0.6 * (changes[0] | changes[1]).sum()
+
+
 @pytest.mark.parametrize("change", [in_other_light, before_other_background])
 def test_other_light_and_background_leave_the_body_where_it_is(change):
     look = drawn_look(6, bend_deg=(0, 150), size_wh=(160, 120))

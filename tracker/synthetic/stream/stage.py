@@ -91,7 +91,7 @@ class Stage:
                 if layer is not None:
                     _lay(picture, layer, self._shade if layer is front and behind is not None else None)
             self._clamp(picture, place, clamped if place is look.place else None)
-        self._occlude(picture, cover, chains[-1])
+        self._occlude(picture, cover)
         rng = np.random.default_rng([look.scene.seed, 9, noise_seed])
         return self._with_truth(
             taken(picture, self._lit, look.light, look.sensor, rng), (cover, clamped), chains[-1], layers[-1]
@@ -186,10 +186,12 @@ class Stage:
             Painter(picture, rng, self._unit, None, cover),
         )
 
-    def _occlude(self, picture: ImageArray, cover: ImageArray, chain: Chain) -> None:
-        scene = self.look.scene
+    def _occlude(self, picture: ImageArray, cover: ImageArray) -> None:
+        """Things that lie over the body halfway through its bends, and do not move with it."""
+        look, scene = self.look, self.look.scene
         if not scene.occluders:
             return
+        chain = Chain(look.body, look.place, sum(look.bend_deg) / 2)
         rng = np.random.default_rng([scene.seed, 6])
         painter = Painter(picture, rng, self._unit, self._shade, cover)
         for _ in range(scene.occluders):
