@@ -56,10 +56,10 @@ class Cascade(nn.Module):
         whole.locator, whole.refiner = locator, refiner
         return whole
 
-    def finder(self) -> Finder:
-        """The networks at work in float32, where their weights lie."""
+    def finder(self, peaks: int = 1) -> Finder:
+        """The networks at work in float32, where their weights lie. `peaks`: as `Finder`'s."""
         self.eval()
-        return Finder(TorchReader(self.locator), TorchReader(self.refiner))
+        return Finder(TorchReader(self.locator, peaks), TorchReader(self.refiner), peaks)
 
     def detect(self, frames: Frames, region: WorkingRegion, partner: Sequence[int]) -> Detections:
         """`Finder.detect` with these networks."""
@@ -67,17 +67,18 @@ class Cascade(nn.Module):
 
 
 class TorchReader:
-    """A network as a `finder.Reader`."""
+    """A network as a `finder.Reader`, that reads so many positions for each keypoint."""
 
-    def __init__(self, network: HeatmapNetwork) -> None:
+    def __init__(self, network: HeatmapNetwork, peaks: int = 1) -> None:
         self.network = network
+        self.peaks = peaks
 
     @torch.inference_mode()
     def __call__(self, pictures: ImageArray) -> Detections:
         """Every keypoint in pictures (N, 3, H, W) uint8."""
         # TensorFloat-32 would round a GPU's positions by up to a tenth of a px; float32 is what is promised.
         with torch.backends.cudnn.flags(enabled=True, allow_tf32=False):
-            found = decode(self.network(torch.from_numpy(pictures).to(self.network.mean.device)))
+            found = decode(self.network(torch.from_numpy(pictures).to(self.network.mean.device)), self.peaks)
         return Detections(_float64(found.xy), _float64(found.likelihood), _float64(found.covariance))
 
 

@@ -20,7 +20,7 @@ ENGINES = ("openvino-int8", "openvino")
 
 PARTS = ("locator", "refiner")
 RECORD = "engine.json"
-FORMAT = 1
+FORMAT = 2
 
 
 class CompiledReader:
@@ -67,8 +67,8 @@ def engine_record(checkpoint_file: Path, sha256: str) -> dict[str, Any] | None:
         return None
 
 
-def compiled_finder(checkpoint_file: Path, engine: str, workers: int = 1) -> Finder:
-    """Locator and refiner of an engine that was built and passed."""
+def compiled_finder(checkpoint_file: Path, engine: str, workers: int = 1, peaks: int = 1) -> Finder:
+    """Locator and refiner of an engine that was built and passed; `peaks` are those that it was built with."""
     folder = engine_folder(checkpoint_file)
     locate, refine = (CompiledReader(folder / f"{part}-{engine}.xml", workers) for part in PARTS)
-    return Finder(locate, refine)
+    return Finder(locate, refine, peaks)

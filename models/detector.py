@@ -20,7 +20,7 @@ from .finder import Finder
 from .following import Follower
 from .header import Header, read_header, weights_file
 from .regions import WorkingRegion
-from .sighting import OrientedFinder, sight
+from .sighting import sight
 
 TORCH = "torch"
 CHOICES = ("auto", *ENGINES, TORCH)
@@ -98,7 +98,7 @@ class NetworkDetector:
             workers, finder = 1, _torch_finder(file, device, threads)
         else:
             workers = threads or cores()
-            finder = compiled_finder(file, engine, workers)
+            finder = compiled_finder(file, engine, workers, header.peaks)
         return cls(
             file.resolve().parent.name,
             header,
@@ -159,7 +159,7 @@ class NetworkDetector:
         return NetworkDetector(
             self.name,
             seen.header,
-            OrientedFinder(self._finder.locate, self._finder.refine, seen.fixed_xy, seen.body_px),
+            seen.finder,
             sha256=self.sha256,
             engine=self.engine,
             device=self.device,
@@ -230,7 +230,8 @@ def _torch_finder(file: Path, device: str, threads: int | None) -> Finder:
 
     if threads is not None:
         torch.set_num_threads(threads)
-    return load_checkpoint(file).network.to(torch.device(device)).finder()
+    checkpoint = load_checkpoint(file)
+    return checkpoint.network.to(torch.device(device)).finder(checkpoint.peaks)
 
 
 def _why_not(engine: str, record: Mapping[str, Any] | None) -> str:

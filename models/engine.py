@@ -128,13 +128,15 @@ def build(
     engines: dict[str, Any] = {}
     # Without labelled pictures anything will do to see that a plain compilation does what torch does.
     judge = judge or [np.random.default_rng(0).integers(0, 255, (480, 640, 3), dtype=np.uint8)]
-    reference = _found(network.finder(), checkpoint, judge)
+    peaks = {"locator": checkpoint.peaks, "refiner": 1}
+    reference = _found(network.finder(checkpoint.peaks), checkpoint, judge)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, make in candidates.items():
             with _in_private():
-                models = {part: _with_votes(make(part)) for part in PARTS}
-            finder = Finder(*(CompiledReader(models[part]) for part in PARTS))
+                models = {part: _with_votes(make(part), peaks[part]) for part in PARTS}
+            locate, refine = (CompiledReader(models[part]) for part in PARTS)
+            finder = Finder(locate, refine, checkpoint.peaks)
             drift = _drift(_found(finder, checkpoint, judge), reference, checkpoint)
             # Once more, as the first time a network also makes itself ready.
             begun = time.process_time()
@@ -182,8 +184,12 @@ class _Keeping:
 class _Votes(nn.Module):
     """Maps to positions: `heatmaps.decode` as a network's last layer."""
 
+    def __init__(self, peaks: int) -> None:
+        super().__init__()
+        self.peaks = peaks
+
     def forward(self, heat: Tensor, offset: Tensor, spread: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        found = decode(Maps(heat, offset, spread))
+        found = decode(Maps(heat, offset, spread), self.peaks)
         return found.xy, found.likelihood, found.covariance
 
 
@@ -216,12 +222,12 @@ def _in_integers(maps: openvino.Model, pictures: Sequence[ImageArray]) -> openvi
     )
 
 
-def _with_votes(maps: openvino.Model) -> openvino.Model:
-    """A network up to its maps, and on to positions."""
+def _with_votes(maps: openvino.Model, peaks: int) -> openvino.Model:
+    """A network up to its maps, and on to positions, so many for each keypoint."""
     heads = [result.input_value(0) for result in maps.get_results()]
     k = heads[0].get_partial_shape()[1].get_length()
     example = (torch.zeros(2, k, 16, 16), torch.zeros(2, k, 2, 16, 16), torch.zeros(2, k, 3, 16, 16))
-    votes = openvino.convert_model(_Votes(), example_input=example)
+    votes = openvino.convert_model(_Votes(peaks), example_input=example)
     for parameter, head in zip(votes.get_parameters(), heads, strict=True):
         parameter.output(0).replace(head)
     return openvino.Model(votes.get_results(), maps.get_parameters(), "bendtrack")

@@ -63,10 +63,12 @@ class Finder:
     ----------
     locate : reads the working region
     refine : reads patches; patch i of a frame is asked for keypoint i only
+    peaks : places that `locate` offers for each keypoint, next to each other, the likeliest first
     """
 
     locate: Reader
     refine: Reader
+    peaks: int = 1
 
     def detect(self, frames: Frames, region: WorkingRegion, partner: Sequence[int]) -> Detections:
         """Find the keypoints in frames of one size, each by itself.
@@ -147,10 +149,19 @@ class Finder:
         covariance = inverse @ read.covariance[own, keypoint] @ inverse.transpose(0, 2, 1)
         return Detections(xy[:, None], read.likelihood[own, keypoint, None], covariance[:, None])
 
-    def _located(self, frames: Frames, region: WorkingRegion) -> tuple[FloatArray, FloatArray]:
+    def offered(self, frames: Frames, region: WorkingRegion) -> tuple[FloatArray, FloatArray]:
+        """Places (N, K, M, 2) px in the working region that may be each keypoint's, and likelihoods (N, K, M)."""
         view = region.locator_view(LOCATOR_MULTIPLE)
         read = _read(self.locate, [_region_picture(frame, region, view) for frame in frames])
-        return view.to_source(read.xy), read.likelihood.copy()
+        n = len(read.xy)
+        return view.to_source(read.xy).reshape(n, -1, self.peaks, 2), read.likelihood.reshape(
+            n, -1, self.peaks
+        )
+
+    def _located(self, frames: Frames, region: WorkingRegion) -> tuple[FloatArray, FloatArray]:
+        """The likeliest place of each keypoint in the working region, as `located`."""
+        xy, likelihood = self.offered(frames, region)
+        return xy[:, :, 0].copy(), likelihood[:, :, 0].copy()
 
 
 def foretold(xy: FloatArray) -> Detections:

@@ -27,6 +27,9 @@ WEIGHTS_FILE = "weights.safetensors"
 FORMAT = 2
 """Raised when the networks' layers change."""
 
+PRETRAINED_PEAKS = 4
+"""`Header.peaks` of a network that has seen no actuator's labels, and so takes one thing for another."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Header:
@@ -52,6 +55,11 @@ class Header:
     calibration: Calibration
     label_offset: tuple[tuple[float, float], ...] = ()
     training: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def peaks(self) -> int:
+        """Places that the locator offers for each keypoint: several where it may take one end for the other."""
+        return PRETRAINED_PEAKS if "pictures" in self.training else 1
 
     def region_for(self, frame_wh: tuple[int, int]) -> WorkingRegion:
         """The working region for frames of a size: its own, or the first one's, searched whole."""

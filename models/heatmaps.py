@@ -132,11 +132,23 @@ def _spread_parts(spread: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return log_s[:, :, 0], log_s[:, :, 1], rho
 
 
-def decode(maps: Maps) -> Decoded:
-    """Read one position for each keypoint from the maps."""
+def decode(maps: Maps, peaks: int = 1) -> Decoded:
+    """Read positions from the maps: one for each keypoint, or as many, the likeliest first.
+
+    Parameters
+    ----------
+    peaks : M positions for each keypoint, those of one keypoint next to each other: K is K M in what is returned
+    """
     n, k, h, w = maps.heat.shape
     p = maps.heat.sigmoid()
-    likelihood, peak = p.flatten(2).max(dim=2)
+    if peaks == 1:
+        likelihood, peak = p.flatten(2).max(dim=2)
+    else:
+        highest = F.max_pool2d(p, 2 * VOTE_RADIUS_CELLS + 1, stride=1, padding=VOTE_RADIUS_CELLS)
+        apart = torch.where(p == highest, p, torch.zeros_like(p)).flatten(2)
+        likelihood, peak = (part.flatten(1) for part in apart.topk(peaks, dim=2))
+        maps = Maps(*(part.repeat_interleave(peaks, dim=1) for part in maps))
+        k *= peaks
     row, col = peak // w, peak % w
     r = VOTE_RADIUS_CELLS
     step = torch.arange(-r, r + 1, device=p.device)

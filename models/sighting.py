@@ -7,22 +7,18 @@ header for this video, with which the network is put to work like any other.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
-import cv2
 import numpy as np
 
 from ..tracker.angle import bending_angle
 from ..tracker.errors import VideoError
-from ..tracker.types import BoolArray, Detections, FloatArray, Frames, ImageArray
+from ..tracker.types import BoolArray, Detections, FloatArray, Frames
+from .assembly import assembled
 from .calibration import LEAST_PEAK
 from .finder import Finder
 from .header import Header
 from .regions import WorkingRegion, body_length_px, find_region
-
-Locate = Callable[[Frames, WorkingRegion], tuple[FloatArray, FloatArray]]
 
 FIRST_SIDES = (96, 128, 192, 256)
 """Input px of a whole frame's long side at a first look: actuators fill a fifth of a picture, or nearly all of it."""
@@ -48,9 +44,6 @@ ALIKE_SHARE = 0.3
 LEAST_SAME = 0.6
 """Share of the glimpses that must show the same actuator, or the angles would be mostly guessed."""
 
-COVER_SHARE = 0.2
-"""What lies within so much of the body's length of the fixed end is taken to be that end."""
-
 STILL_SHARE = 0.5
 """An end that moves by less than so much of what the other moves is the fixed one."""
 
@@ -62,67 +55,45 @@ class Sighting:
     Attributes
     ----------
     header : the network's for this video: region, and the angle's sign
-    fixed_xy : (2,) px, where the fixed end is
-    body_px : the body's length
+    finder : knows where the fixed end is, and the body's length
     ends_px : (2,) px, lengths of the fixed and the moving end, which a bend does not change
     seen : share of the glimpses in which the actuator was seen, held where it is in the others and of one shape
     """
 
     header: Header
-    fixed_xy: FloatArray
-    body_px: float
+    finder: HeldFinder
     ends_px: FloatArray
     seen: float
 
     def doubted(self, found: Detections) -> Detections:
         """What was found in frames of the video; nothing is believed of a frame that shows another actuator."""
-        same = _same(found.xy, self.fixed_xy, self.body_px, self.ends_px)
+        same = _same(found.xy, self.finder.fixed_xy, self.finder.body_px, self.ends_px)
         return replace(found, likelihood=np.where(same[:, None], found.likelihood, 0.0))
 
 
-@dataclass(frozen=True)
-class OrientedFinder(Finder):
-    """A finder that knows where the fixed end is.
+@dataclass(frozen=True, kw_only=True)
+class HeldFinder(Finder):
+    """A finder that knows where the actuator is held and how long it is: of the places offered it takes those that fit.
 
     Attributes
     ----------
     fixed_xy, body_px : as `Sighting`'s
+    usual_peak : for each keypoint, what its peak is where it is seen
     """
 
     fixed_xy: FloatArray
     body_px: float
+    usual_peak: FloatArray
 
-    def located(self, frames: Frames, region: WorkingRegion) -> tuple[FloatArray, FloatArray]:
-        """As `Finder.located`."""
-        return located_from(self.fixed_xy, self.body_px, super().located, frames, region)
-
-
-def located_from(
-    fixed_xy: FloatArray, body_px: float, located: Locate, frames: Frames, region: WorkingRegion
-) -> tuple[FloatArray, FloatArray]:
-    """What `located` finds, from the fixed end on: a body that is found the wrong way round is turned.
-
-    Heads that cannot tell the ends apart may all point to one. Where keypoints of the moving half are found at the
-    fixed end, that is covered up and they are looked for once more.
-    """
-    xy, likelihood = oriented(*located(frames, region), fixed_xy)
-    reach = COVER_SHARE * body_px
-    near = np.linalg.norm(xy - fixed_xy, axis=2) < reach
-    near[:, : (xy.shape[1] + 1) // 2] = False
-    doubtful = np.flatnonzero(near.any(axis=1)).tolist()
-    if doubtful:
-        again, seen = located([_covered(frames[i], fixed_xy, reach) for i in doubtful], region)
-        taken = near[doubtful]
-        xy[doubtful] = np.where(taken[..., None], again, xy[doubtful])
-        likelihood[doubtful] = np.where(taken, seen, likelihood[doubtful])
-    return xy, likelihood
+    def _located(self, frames: Frames, region: WorkingRegion) -> tuple[FloatArray, FloatArray]:
+        xy, peak = self.offered(frames, region)
+        xy, likelihood = assembled(xy, likely(peak, self.usual_peak), self.fixed_xy, self.body_px)
+        return xy, likelihood * self.usual_peak
 
 
-def _covered(frame: ImageArray, xy: FloatArray, radius_px: float) -> ImageArray:
-    """A frame with a disc of its mean colour on it."""
-    colour = [round(float(level)) for level in frame.mean(axis=(0, 1))]
-    centre = round(float(xy[0])), round(float(xy[1]))
-    return np.asarray(cv2.circle(frame.copy(), centre, round(radius_px), colour, -1), dtype=np.uint8)
+def likely(peak: FloatArray, usual_peak: FloatArray) -> FloatArray:
+    """Likelihoods in [0, 1] of places offered, from their peaks (N, K, M) and the usual ones (K,)."""
+    return np.minimum(peak / usual_peak[:, None], 1.0)
 
 
 def oriented(xy: FloatArray, likelihood: FloatArray, fixed_xy: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -149,19 +120,22 @@ def sight(glimpses: Frames, header: Header, finder: Finder) -> Sighting:
         No actuator can be seen.
     """
     h, w = glimpses[0].shape[:2]
-    usual = np.maximum(header.calibration.usual_peak or 1.0, LEAST_PEAK)
+    usual = np.maximum(header.calibration.usual_peak or np.ones(len(header.keypoints)), LEAST_PEAK)
 
-    def look(region: WorkingRegion, located: Locate = finder.located) -> _Look:
-        xy, peak = located(glimpses, region)
+    def look(region: WorkingRegion) -> _Look:
+        xy, peak = finder.located(glimpses, region)
         return _agreed(region, xy, np.minimum(peak / usual, 1.0))
+
+    def look_again(region: WorkingRegion, fixed_xy: FloatArray, body_px: float) -> _Look:
+        xy, peak = finder.offered(glimpses, region)
+        return _agreed(region, *assembled(xy, likely(peak, usual), fixed_xy, body_px))
 
     whole = [WorkingRegion((w, h), 0, 0, w, h, min(1.0, side / max(w, h)), 1.0) for side in FIRST_SIDES]
     best = max((look(region) for region in whole), key=lambda found: found.worth)
     # Once more where it is, at the scale that fits it, until that settles.
     for _ in range(2):
         xy = _seen(best)
-        from_there = partial(located_from, best.fixed_xy, body_length_px(xy), finder.located)
-        best = look(_fitting_region(xy, (w, h)), from_there)
+        best = look_again(_fitting_region(xy, (w, h)), best.fixed_xy, body_length_px(xy))
     body_px = body_length_px(_seen(best))
     xy = finder.refined(glimpses, best.xy, best.region, header.partner).xy
     fixed_xy = np.median(xy[best.sound, 0], axis=0)
@@ -175,7 +149,9 @@ def sight(glimpses: Frames, header: Header, finder: Finder) -> Sighting:
     angle_deg, _, _ = bending_angle(xy[same], header.keypoints, replace(header.definition, sign=1))
     definition = replace(header.definition, sign=-1 if np.nansum(angle_deg) < 0 else 1)
     header = replace(header, regions=(best.region,), definition=definition)
-    return Sighting(header, fixed_xy, body_px, ends_px, float(same.mean()))
+    parts = finder.locate, finder.refine, finder.peaks
+    knowing = HeldFinder(*parts, fixed_xy=fixed_xy, body_px=body_px, usual_peak=usual)
+    return Sighting(header, knowing, ends_px, float(same.mean()))
 
 
 def _ends_px(xy: FloatArray) -> FloatArray:

@@ -37,6 +37,23 @@ def test_moving_the_picture_by_a_cell_moves_the_position_by_the_stride() -> None
     np.testing.assert_allclose((second - first)[0, 0].numpy(), [STRIDE, 0], atol=1e-3)
 
 
+def test_several_positions_are_peaks_apart_the_likeliest_first() -> None:
+    one, other = np.array([[20.3, 17.8], [8.0, 40.0]]), np.array([[50.2, 30.1], [40.0, 8.0]])
+    first, second = perfect(one), perfect(other)
+    nearer = (first.offset.norm(dim=2, keepdim=True) < second.offset.norm(dim=2, keepdim=True)).float()
+    both = Maps(
+        torch.logit((first.heat.sigmoid() + 0.5 * second.heat.sigmoid()).clamp(max=0.99)),
+        nearer * first.offset + (1 - nearer) * second.offset,
+        first.spread,
+    )
+    found = decode(both, peaks=2)
+    np.testing.assert_allclose(found.xy[0].numpy(), np.stack([one, other], axis=1).reshape(4, 2), atol=0.05)
+    likelihood = found.likelihood[0].numpy()
+    np.testing.assert_allclose(likelihood[1::2] / likelihood[::2], 0.5, atol=0.1)
+    np.testing.assert_array_equal(decode(both).xy[0].numpy(), found.xy[0, ::2].numpy())
+    assert found.covariance.shape == (1, 4, 2, 2)
+
+
 def test_an_empty_heatmap_has_a_low_likelihood() -> None:
     maps = perfect(np.array([[20.0, 20.0]]))._replace(heat=torch.full((1, 1, 12, 16), -6.0))
     assert decode(maps).likelihood.item() < 0.01

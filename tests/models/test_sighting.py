@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bendtrack.models.assembly import assembled
 from bendtrack.models.calibration import Calibration
 from bendtrack.models.finder import Finder
 from bendtrack.models.header import Header
 from bendtrack.models.regions import WorkingRegion
-from bendtrack.models.sighting import located_from, oriented, sight
+from bendtrack.models.sighting import oriented, sight
 from bendtrack.tracker.angle import AngleDefinition, bending_angle
 from bendtrack.tracker.errors import VideoError
 from bendtrack.tracker.types import Detections
@@ -38,12 +39,13 @@ class Oracle(Finder):
     """Finds what it was told; pictures are numbered by their first pixel."""
 
     def __init__(self, xy: np.ndarray, peak: np.ndarray, noise_px: float = 1.0) -> None:
+        super().__init__(self, self)
         object.__setattr__(self, "xy", xy + np.random.default_rng(0).normal(0, noise_px, xy.shape))
         object.__setattr__(self, "peak", peak)
 
-    def located(self, frames, region):
+    def offered(self, frames, region):
         chosen = [int(frame[0, 0, 0]) for frame in frames]
-        return self.xy[chosen].copy(), self.peak[chosen].copy()
+        return self.xy[chosen].copy()[:, :, None], self.peak[chosen].copy()[:, :, None]
 
     def refined(self, frames, xy, region, partner):
         n, k = xy.shape[:2]
@@ -63,7 +65,7 @@ def arms(sign: float = 1.0) -> np.ndarray:
 def test_the_end_that_rests_is_the_fixed_one() -> None:
     seen = sight(glimpses(30), HEADER, Oracle(arms(), np.full((30, 4), 0.6)))
     assert seen.header.definition.sign == 1
-    np.testing.assert_allclose(seen.fixed_xy, (300, 200), atol=3)
+    np.testing.assert_allclose(seen.finder.fixed_xy, (300, 200), atol=3)
     assert seen.seen == 1.0
 
 
@@ -74,39 +76,38 @@ def test_frames_found_the_wrong_way_round_do_not_matter(turned: float) -> None:
     wrong = np.random.default_rng(1).random(30) < turned
     xy = np.where(wrong[:, None, None], truth[:, ::-1], truth)
     seen = sight(glimpses(30), HEADER, Oracle(xy, np.full((30, 4), 0.6)))
-    np.testing.assert_allclose(seen.fixed_xy, (300, 200), atol=3)
-    found, _ = oriented(xy, np.ones((30, 4)), seen.fixed_xy)
+    np.testing.assert_allclose(seen.finder.fixed_xy, (300, 200), atol=3)
+    found, _ = oriented(xy, np.ones((30, 4)), seen.finder.fixed_xy)
     np.testing.assert_array_equal(found, truth)
     # Positive is the way it bends, whichever that is on the screen.
     angle_deg, _, _ = bending_angle(truth, KEYPOINTS, seen.header.definition)
     np.testing.assert_allclose(angle_deg, np.linspace(0, 120, 30), atol=1e-6)
 
 
-def test_keypoints_of_the_moving_end_that_are_found_at_the_fixed_one_are_looked_for_again() -> None:
+def test_a_place_that_fits_the_others_is_taken_before_a_higher_peak() -> None:
     truth = arms()
-    pictures = glimpses(30)
-    pictures[:, 200, 300] = 255  # the clamp
 
     class Attracted(Oracle):
-        """Takes the clamp for the moving end, too, where it can see it."""
+        """Takes the clamp for the moving end in most frames, and offers what is right second."""
 
-        def located(self, frames, region):
-            xy, peak = super().located(frames, region)
-            clamp = [frame[200, 300].max() == 255 and index % 3 == 0 for index, frame in enumerate(frames)]
-            xy[clamp, 2:] = xy[clamp, :1]
-            return xy, peak
+        def offered(self, frames, region):
+            xy, peak = super().offered(frames, region)
+            wrong = xy.copy()
+            wrong[::3, 2:] = xy[::3, :2]
+            return np.concatenate([wrong, xy], axis=2), np.concatenate([peak, 0.5 * peak], axis=2)
 
     finder = Attracted(truth, np.full((30, 4), 0.6), noise_px=0.0)
-    assert np.ptp(finder.located(pictures, HEADER.regions[0])[0][0], axis=0).max() < 40
-    seen = sight(pictures, HEADER, finder)
-    found, _ = located_from(seen.fixed_xy, seen.body_px, finder.located, pictures, HEADER.regions[0])
+    seen = sight(glimpses(30), HEADER, finder)
+    assert seen.seen == 1.0
+    places, peak = finder.offered(glimpses(30), HEADER.regions[0])
+    found, _ = assembled(places, peak, seen.finder.fixed_xy, seen.finder.body_px)
     np.testing.assert_array_equal(found, truth)
 
 
 def test_what_does_not_move_is_taken_as_the_network_says() -> None:
     still = np.repeat(body(40)[None], 30, axis=0)
     seen = sight(glimpses(30), HEADER, Oracle(still, np.full((30, 4), 0.6)))
-    np.testing.assert_allclose(seen.fixed_xy, still[0, 0], atol=3)
+    np.testing.assert_allclose(seen.finder.fixed_xy, still[0, 0], atol=3)
 
 
 def test_the_region_holds_every_pose_that_was_clearly_seen() -> None:
@@ -139,7 +140,7 @@ def test_glimpses_that_disagree_with_the_others_do_not_count() -> None:
     xy = arms()
     xy[::5] += 150.0  # clearly seen, and elsewhere: a shadow taken for the body
     seen = sight(glimpses(30), HEADER, Oracle(xy, np.full((30, 4), 0.6)))
-    np.testing.assert_allclose(seen.fixed_xy, (300, 200), atol=3)
+    np.testing.assert_allclose(seen.finder.fixed_xy, (300, 200), atol=3)
     assert seen.seen == pytest.approx(0.8)
     region = seen.header.region_for(SIZE_WH)
     assert region.left + region.width < xy[::5, :, 0].max()
