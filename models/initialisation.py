@@ -21,6 +21,7 @@ from torchvision.models import ResNet18_Weights, ResNet34_Weights, ResNet50_Weig
 
 from ..tracker.errors import WeightsError
 from .network import HeatmapNetwork
+from .shipped import actuator_file
 
 IMAGENET_WEIGHTS = {
     "resnet18": ResNet18_Weights.IMAGENET1K_V1,
@@ -40,12 +41,14 @@ def imagenet_file(backbone: str) -> Path:
 def resolve_init(init: str, backbone: str) -> str:
     """What `init` means on this machine: "actuator", "imagenet", "random" or a path.
 
-    "auto" takes ImageNet weights when they are on the machine already, else random numbers: it never waits for a
-    network that a laboratory or a cluster may not have. What comes with bendtrack it does not take yet: with few
-    labels that has been no better a start than random numbers.
+    "auto" takes the network that comes with bendtrack where there is one with this backbone, else ImageNet weights
+    when they are on the machine already, else random numbers: it never waits for a network that a laboratory or a
+    cluster may not have.
     """
     if init != "auto":
         return init
+    if actuator_file(backbone).is_file():
+        return "actuator"
     return "imagenet" if imagenet_file(backbone).is_file() else "random"
 
 

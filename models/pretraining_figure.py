@@ -18,17 +18,16 @@ def write_curve(rows: Sequence[dict[str, float]], folder: Path) -> None:
     figure = Figure(figsize=(9, 2.9), layout="constrained")
     FigureCanvasAgg(figure)
     panels = {
-        "loss": ("Training loss", "", "log"),
-        "located_share": ("Located within 5 % of the body", "share of keypoints", "linear"),
-        "refined_px": ("Refined", "median error (px)", "log"),
+        "loss": ("Training loss", ""),
+        "located_share": ("Located within 5 % of the body", "share of keypoints"),
+        "refined_px": ("Refined", "median error (px)"),
     }
     step = [row["step"] for row in rows]
-    for axes, (column, (title, label, scale)) in zip(figure.subplots(1, 3), panels.items(), strict=True):
+    for axes, (column, (title, label)) in zip(figure.subplots(1, 3), panels.items(), strict=True):
         axes.plot(step, [row[column] for row in rows], color=_COLOUR, marker=".", markersize=4, linewidth=1)
         axes.set_title(title, fontsize=10)
-        axes.set(xlabel="step", ylabel=label, yscale=scale)
-        if column == "located_share":
-            axes.set_ylim(0, 1)
+        axes.set(xlabel="step", ylabel=label)
+        axes.set_ylim(0, 1 if column == "located_share" else None)
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(alpha=0.25)
     with atomic_path(folder / "learning-curve.png") as temporary:

@@ -19,9 +19,11 @@ class TrainingSettings:
     backbone : resnet18 finds what the larger ones find on thirty frames of one actuator, in a third of the time
     init : "auto" (the best start on this machine), "actuator" (the network that comes with bendtrack), "imagenet",
         "random", or the path of a weights file
-    steps : training steps; None takes ten for each training frame, between 300 and 3000
+    steps : training steps; None takes ten for each training frame, between 300 and 3000, and half of that where both
+        networks know actuators already
     batch_frames : frames of a batch; a frame gives the locator one crop and the refiner a patch a keypoint
-    learning_rate, weight_decay : AdamW's
+    learning_rate, weight_decay : AdamW's; None takes a learning rate of 2e-3, or of 1e-3 where both networks know
+        actuators already: what they know is worth keeping
     decay_share : share of the steps in which the learning rate falls to zero; it begins earlier when the
         held-out error stops falling
     average : how much of the averaged weights is kept each step; the average is what is saved and judged
@@ -37,7 +39,7 @@ class TrainingSettings:
     init: str = "auto"
     steps: int | None = None
     batch_frames: int = 8
-    learning_rate: float = 2e-3
+    learning_rate: float | None = None
     weight_decay: float = 1e-2
     decay_share: float = 0.5
     average: float = 0.98
@@ -59,9 +61,18 @@ class TrainingSettings:
             if not 0.0 <= value <= 1.0:
                 raise TrainingError(f"{name}: expected a share in [0, 1], got {value}")
 
-    def steps_for(self, n_frames: int) -> int:
-        """Training steps for so many training frames."""
-        return self.steps if self.steps is not None else min(max(300, 10 * n_frames), 3000)
+    def steps_for(self, n_frames: int, start: str) -> int:
+        """Training steps for so many training frames, from what `initialisation.resolve_init` says."""
+        if self.steps is not None:
+            return self.steps
+        steps = min(max(300, 10 * n_frames), 3000)
+        return steps // 2 if start == "actuator" else steps
+
+    def learning_rate_from(self, start: str) -> float:
+        """The highest learning rate, from what `initialisation.resolve_init` says."""
+        if self.learning_rate is not None:
+            return self.learning_rate
+        return 1e-3 if start == "actuator" else 2e-3
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready."""

@@ -149,7 +149,7 @@ class _Trainer:
             self._start_from(network)
         network.to(self.device)
         self.pair = Pair(network, average=settings.average, weight_decay=settings.weight_decay)
-        self.schedule = Schedule(settings.steps_for(len(self.trained)), settings.decay_share)
+        self.schedule = Schedule(settings.steps_for(len(self.trained), self.start), settings.decay_share)
         self.step, self.elapsed_s = 0, 0.0
         self.rows: list[dict[str, float]] = []
         self.best: dict[str, Tensor] | None = None
@@ -245,7 +245,7 @@ class _Trainer:
 
     @property
     def _learning_rate(self) -> float:
-        return self.settings.learning_rate * self.schedule.factor(self.step)
+        return self.settings.learning_rate_from(self.start) * self.schedule.factor(self.step)
 
     def _detect(self, network: Cascade, indices: Sequence[int]) -> Detections:
         return joined(

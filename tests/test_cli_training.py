@@ -56,8 +56,10 @@ def test_options_go_before_the_file_and_that_before_the_defaults(bendtrack, proj
     assert "from random weights" in ran.out
 
 
-def test_a_network_starts_from_what_comes_with_bendtrack(bendtrack, project: Project) -> None:
-    set_training(project, init='"actuator"', steps=1)
+def test_a_network_starts_from_what_comes_with_bendtrack_where_nobody_says_otherwise(
+    bendtrack, project: Project
+) -> None:
+    set_training(project, init='"auto"', steps=1)
     ran = bendtrack("train", project.root)
     assert (ran.status, ran.err) == (0, "")
     assert "Start: resnet18 with actuator weights" in ran.out
