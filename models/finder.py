@@ -153,10 +153,8 @@ class Finder:
         """Places (N, K, M, 2) px in the working region that may be each keypoint's, and likelihoods (N, K, M)."""
         view = region.locator_view(LOCATOR_MULTIPLE)
         read = _read(self.locate, [_region_picture(frame, region, view) for frame in frames])
-        n = len(read.xy)
-        return view.to_source(read.xy).reshape(n, -1, self.peaks, 2), read.likelihood.reshape(
-            n, -1, self.peaks
-        )
+        shape = (len(frames), -1, self.peaks)
+        return view.to_source(read.xy).reshape(*shape, 2), read.likelihood.reshape(shape)
 
     def _located(self, frames: Frames, region: WorkingRegion) -> tuple[FloatArray, FloatArray]:
         """The likeliest place of each keypoint in the working region, as `located`."""

@@ -77,7 +77,8 @@ class HeldFinder(Finder):
 
     Attributes
     ----------
-    fixed_xy, body_px : as `Sighting`'s
+    fixed_xy : (2,) px, where the fixed end is
+    body_px : the body's length
     usual_peak : for each keypoint, what its peak is where it is seen
     """
 
