@@ -46,8 +46,17 @@ class Calibration:
     def apply(self, found: Detections) -> Detections:
         """Detections with calibrated likelihoods and covariances from the network's own."""
         covariance = found.covariance * self.scale + np.eye(2) * (self.label_sd_px**2 / self.n_labels)
-        usual = np.maximum(self.usual_peak, LEAST_PEAK) if self.usual_peak else 1.0
-        return replace(found, covariance=covariance, likelihood=np.minimum(found.likelihood / usual, 1.0))
+        return replace(found, covariance=covariance, likelihood=self.likelihood(found.likelihood))
+
+    def likelihood(self, peak: FloatArray) -> FloatArray:
+        """Likelihoods in [0, 1] from peaks (N, K, ...) of heatmaps."""
+        usual = self.usual.reshape(-1, *(1,) * (peak.ndim - 2))
+        return np.minimum(peak / usual, 1.0)
+
+    @property
+    def usual(self) -> FloatArray:
+        """`usual_peak` (K,), none under `LEAST_PEAK`; 1 for all where none is known."""
+        return np.asarray(np.maximum(self.usual_peak or 1.0, LEAST_PEAK))
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> Calibration:

@@ -84,7 +84,7 @@ def build_beside(path: Path) -> dict[str, Any]:
     """
     file = weights_file(path)
     checkpoint = load_checkpoint(file)
-    if "pictures" in checkpoint.training:
+    if checkpoint.pretrained:
         seed = checkpoint.training["settings"]["seed"]
         frames = [sample.picture for sample, _ in rendered_samples(seed, range(RENDERED_FRAMES))]
     else:

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..tracker.types import Detections, FloatArray, Frames, IntArray
-from .calibration import LEAST_PEAK
 from .finder import Finder, cut_patch, foretold, joined, on_grid
 from .header import Header
 from .regions import WorkingRegion
@@ -74,8 +73,7 @@ class Follower:
         self._finder = finder
         self._header = header
         self._believed = believed or header.calibrated
-        usual = np.array(header.calibration.usual_peak or [1.0] * len(header.keypoints))
-        self._sure = SURE_SHARE * np.maximum(usual, LEAST_PEAK)
+        self._sure = SURE_SHARE * header.calibration.usual
         self._last: FloatArray | None = None
         self._step = np.zeros((len(header.keypoints), 2))
         self._until_check = 0

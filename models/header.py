@@ -57,9 +57,14 @@ class Header:
     training: Mapping[str, Any] = field(default_factory=dict)
 
     @property
+    def pretrained(self) -> bool:
+        """Whether it learnt from the stream's pictures, and not from labels."""
+        return "pictures" in self.training
+
+    @property
     def peaks(self) -> int:
         """Places that the locator offers for each keypoint: several where it may take one end for the other."""
-        return PRETRAINED_PEAKS if "pictures" in self.training else 1
+        return PRETRAINED_PEAKS if self.pretrained else 1
 
     def region_for(self, frame_wh: tuple[int, int]) -> WorkingRegion:
         """The working region for frames of a size: its own, or the first one's, searched whole."""

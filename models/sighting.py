@@ -15,7 +15,7 @@ from ..tracker.angle import bending_angle
 from ..tracker.errors import VideoError
 from ..tracker.types import BoolArray, Detections, FloatArray, Frames
 from .assembly import assembled
-from .calibration import LEAST_PEAK
+from .calibration import Calibration
 from .finder import Finder
 from .header import Header
 from .regions import WorkingRegion, body_length_px, find_region
@@ -79,22 +79,18 @@ class HeldFinder(Finder):
     ----------
     fixed_xy : (2,) px, where the fixed end is
     body_px : the body's length
-    usual_peak : for each keypoint, what its peak is where it is seen
+    calibration : the network's, which says what a peak is worth
     """
 
     fixed_xy: FloatArray
     body_px: float
-    usual_peak: FloatArray
+    calibration: Calibration
 
     def _located(self, frames: Frames, region: WorkingRegion) -> tuple[FloatArray, FloatArray]:
         xy, peak = self.offered(frames, region)
-        xy, likelihood = assembled(xy, likely(peak, self.usual_peak), self.fixed_xy, self.body_px)
-        return xy, likelihood * self.usual_peak
-
-
-def likely(peak: FloatArray, usual_peak: FloatArray) -> FloatArray:
-    """Likelihoods in [0, 1] of places offered, from their peaks (N, K, M) and the usual ones (K,)."""
-    return np.minimum(peak / usual_peak[:, None], 1.0)
+        likelihood = self.calibration.likelihood(peak)
+        xy, likelihood = assembled(xy, likelihood, self.fixed_xy, self.body_px)
+        return xy, likelihood * self.calibration.usual
 
 
 def oriented(xy: FloatArray, likelihood: FloatArray, fixed_xy: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -121,15 +117,15 @@ def sight(glimpses: Frames, header: Header, finder: Finder) -> Sighting:
         No actuator can be seen.
     """
     h, w = glimpses[0].shape[:2]
-    usual = np.maximum(header.calibration.usual_peak or np.ones(len(header.keypoints)), LEAST_PEAK)
+    likelihood = header.calibration.likelihood
 
     def look(region: WorkingRegion) -> _Look:
         xy, peak = finder.located(glimpses, region)
-        return _agreed(region, xy, np.minimum(peak / usual, 1.0))
+        return _agreed(region, xy, likelihood(peak))
 
     def look_again(region: WorkingRegion, fixed_xy: FloatArray, body_px: float) -> _Look:
         xy, peak = finder.offered(glimpses, region)
-        return _agreed(region, *assembled(xy, likely(peak, usual), fixed_xy, body_px))
+        return _agreed(region, *assembled(xy, likelihood(peak), fixed_xy, body_px))
 
     whole = [WorkingRegion((w, h), 0, 0, w, h, min(1.0, side / max(w, h)), 1.0) for side in FIRST_SIDES]
     best = max((look(region) for region in whole), key=lambda found: found.worth)
@@ -151,7 +147,7 @@ def sight(glimpses: Frames, header: Header, finder: Finder) -> Sighting:
     definition = replace(header.definition, sign=-1 if np.nansum(angle_deg) < 0 else 1)
     header = replace(header, regions=(best.region,), definition=definition)
     parts = finder.locate, finder.refine, finder.peaks
-    knowing = HeldFinder(*parts, fixed_xy=fixed_xy, body_px=body_px, usual_peak=usual)
+    knowing = HeldFinder(*parts, fixed_xy=fixed_xy, body_px=body_px, calibration=header.calibration)
     return Sighting(header, knowing, ends_px, float(same.mean()))
 
 
