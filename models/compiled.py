@@ -29,13 +29,15 @@ class CompiledReader:
     Parameters
     ----------
     model : an `openvino.Model`, or the path of its .xml
-    workers : how many threads may ask it at once; each is answered on a core of its own, as pictures are small
+    workers : how many threads may ask it at once
+    threads : cores that answer, shared out among those who ask: with one each, most pictures are read; with all for
+        one, each is read soonest
     """
 
-    def __init__(self, model: Any, workers: int = 1) -> None:
+    def __init__(self, model: Any, workers: int = 1, threads: int = 1) -> None:
         import openvino
 
-        config = {"NUM_STREAMS": workers, "INFERENCE_NUM_THREADS": workers}
+        config = {"NUM_STREAMS": workers, "INFERENCE_NUM_THREADS": threads}
         source = str(model) if isinstance(model, Path) else model
         self._model = openvino.Core().compile_model(source, "CPU", config)
         self._own = threading.local()
@@ -67,8 +69,10 @@ def engine_record(checkpoint_file: Path, sha256: str) -> dict[str, Any] | None:
         return None
 
 
-def compiled_finder(checkpoint_file: Path, engine: str, workers: int = 1, peaks: int = 1) -> Finder:
+def compiled_finder(
+    checkpoint_file: Path, engine: str, workers: int = 1, threads: int = 1, peaks: int = 1
+) -> Finder:
     """Locator and refiner of an engine that was built and passed; `peaks` are those that it was built with."""
     folder = engine_folder(checkpoint_file)
-    locate, refine = (CompiledReader(folder / f"{part}-{engine}.xml", workers) for part in PARTS)
+    locate, refine = (CompiledReader(folder / f"{part}-{engine}.xml", workers, threads) for part in PARTS)
     return Finder(locate, refine, peaks)

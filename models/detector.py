@@ -31,6 +31,9 @@ STRETCH_FRAMES = 48
 
 LEAST_STRETCH_FRAMES = 8
 
+SOONEST_CORES = 4
+"""Cores that work on one frame together unless told otherwise: networks this small have little to share out."""
+
 
 class NetworkDetector:
     """Finds the keypoints of a checkpoint in frames (the `Detector` protocol of `tracker.types`).
@@ -67,7 +70,13 @@ class NetworkDetector:
 
     @classmethod
     def load(
-        cls, path: Path, *, engine: str = "auto", device: str = "auto", threads: int | None = None
+        cls,
+        path: Path,
+        *,
+        engine: str = "auto",
+        device: str = "auto",
+        threads: int | None = None,
+        soonest: bool = False,
     ) -> NetworkDetector:
         """Read a checkpoint file or folder.
 
@@ -78,6 +87,8 @@ class NetworkDetector:
             built (`engine.build`) and passed its check, or else torch.
         device : one of `DEVICES`. "auto" takes a GPU when there is one.
         threads : cores for the network; None takes all
+        soonest : whether all cores are to work on one frame, which is known sooner, and not each on one of its own,
+            which measures more frames
 
         Raises
         ------
@@ -97,8 +108,9 @@ class NetworkDetector:
         if engine == TORCH:
             workers, finder = 1, _torch_finder(file, device, threads)
         else:
-            workers = threads or cores()
-            finder = compiled_finder(file, engine, workers, header.peaks)
+            threads = threads or (min(cores(), SOONEST_CORES) if soonest else cores())
+            workers = 1 if soonest else threads
+            finder = compiled_finder(file, engine, workers, threads, header.peaks)
         return cls(
             file.resolve().parent.name,
             header,

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import warnings
+from functools import cache
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
 
 from .atomic import atomic_path
 from .errors import ResultsError, reason
@@ -19,6 +22,7 @@ from .types import Flag, FloatArray
 # Okabe and Ito's palette: told apart with any colour vision.
 _CURVE = "#0072B2"
 _LONGEST_NAME = 64
+_DRAWING = Lock()  # one at a time, for all are drawn on one sheet
 _MARKS = {  # flag: colour, marker, words of the legend
     Flag.LOW_LIKELIHOOD: ("#E69F00", "o", "low likelihood"),
     Flag.DAMAGED: ("#CC79A7", "s", "damaged frame"),
@@ -30,7 +34,7 @@ _MARKS = {  # flag: colour, marker, words of the legend
 
 
 def write_angle_figure(table: AngleTable, out_path: str | Path) -> None:
-    """Write angle over time as a PNG (1800 x 900 px): curve, band of 2 sd, flagged rows marked by kind.
+    """Write angle over time as a PNG (1440 x 720 px): curve, band of 2 sd, flagged rows marked by kind.
 
     Where the angle is unknown the curve has a gap and the row's mark stands on the time axis.
 
@@ -39,11 +43,39 @@ def write_angle_figure(table: AngleTable, out_path: str | Path) -> None:
     ResultsError
         The file cannot be written.
     """
+    with _DRAWING:
+        figure, axes = _empty()
+        _draw(figure, axes, table)
+        _save(figure, out_path)
+
+
+@cache
+def _sheet() -> tuple[Figure, Axes]:
+    """The figure that all tables are drawn into, one after the other: its axes and their ticks take long to make."""
     # The object interface: no window, no state that a user's own pyplot session would see.
-    figure = Figure(figsize=(9, 4.5), dpi=200)
+    figure = Figure(figsize=(9, 4.5), dpi=160)
     FigureCanvasAgg(figure)
     # Room for the longest words there are: a layout found anew for each figure takes longer than tracking a short clip.
     axes = figure.add_axes((0.092, 0.225, 0.88, 0.705))
+    axes.set_xlabel("time (s)")
+    axes.grid(axis="y", color="0.92", linewidth=0.8, zorder=0)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    return figure, axes
+
+
+def _empty() -> tuple[Figure, Axes]:
+    """The sheet with nothing drawn on it."""
+    figure, axes = _sheet()
+    for drawn in (*axes.lines, *axes.collections, *figure.legends):
+        drawn.remove()
+    axes.dataLim.set_points(Bbox.null().get_points())
+    axes.set_xlim(0, 1)  # which stays where there is nothing to draw
+    axes.autoscale()
+    return figure, axes
+
+
+def _draw(figure: Figure, axes: Axes, table: AngleTable) -> None:
     time_s, angle_deg = _with_gaps(table.time_s, table.angle_deg)
     _, sd_deg = _with_gaps(table.time_s, table.angle_sd_deg)
     axes.plot(time_s, angle_deg, color=_CURVE, linewidth=1.2, label="bending angle", zorder=3)
@@ -54,7 +86,6 @@ def write_angle_figure(table: AngleTable, out_path: str | Path) -> None:
     _mark_flagged(axes, table)
 
     axes.axhline(0, color="0.75", linewidth=0.8, zorder=1)
-    axes.set_xlabel("time (s)")
     definition = "" if table.definition is None else f", {table.definition.name}"
     axes.set_ylabel(f"bending angle{definition} (°)")
     if len(table) > 1:
@@ -68,17 +99,17 @@ def write_angle_figure(table: AngleTable, out_path: str | Path) -> None:
     n_flagged = int(np.sum(table.flag != ""))
     axes.set_title(f"{len(table)} frames, {n_flagged} flagged", loc="right", fontsize=9, color="0.35", y=1.0)
     _limit_angles(axes, table)
-    axes.grid(axis="y", color="0.92", linewidth=0.8, zorder=0)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
     handles, _ = axes.get_legend_handles_labels()
     if len(handles) > 1:
         figure.legend(loc="lower center", ncols=min(len(handles), 4), frameon=False, fontsize=9)
+
+
+def _save(figure: Figure, out_path: str | Path) -> None:
     try:
         with atomic_path(out_path) as temporary, warnings.catch_warnings():
             # A name in a script that the font lacks is shown as boxes; the file's name says it too.
             warnings.filterwarnings("ignore", "Glyph .* missing from font", UserWarning)
-            figure.savefig(temporary, format="png", pil_kwargs={"compress_level": 3})
+            figure.savefig(temporary, format="png", pil_kwargs={"compress_level": 1})
     except OSError as error:
         raise ResultsError(f"{out_path}: cannot be written ({reason(error)})") from error
 

@@ -126,6 +126,18 @@ def test_a_short_video_is_cut_for_two_cores_however_many_there_are(untrained: Pa
         assert detector.stretch_frames((1920, 1080), 6000) == 8
 
 
+def test_all_cores_for_one_frame_find_the_same(untrained: Path) -> None:
+    pictures = frames(3, seed=4)
+    soonest, most = (
+        NetworkDetector.load(untrained, engine="openvino", device="cpu", threads=2, soonest=soonest)
+        for soonest in (True, False)
+    )
+    assert (soonest.workers, most.workers) == (1, 2)
+    one, other = soonest.detect(pictures), most.detect(pictures)
+    np.testing.assert_allclose(one.xy, other.xy, atol=1e-3)
+    np.testing.assert_allclose(one.likelihood, other.likelihood, atol=1e-4)
+
+
 def test_building_leaves_the_checkpoint_as_it_was(untrained: Path) -> None:
     before = load_checkpoint(untrained)
     picture = frames(1, seed=3)[0][None]

@@ -50,7 +50,7 @@ def test_flagged_rows_show_in_their_colours(tmp_path):
     }
     plain = tmp_path / "plain.png"
     write_angle_figure(make_table({}), plain)
-    assert cv2.imread(str(plain)).shape == (900, 1800, 3)
+    assert cv2.imread(str(plain)).shape == (720, 1440, 3)
     assert colour_count(plain, (0, 114, 178)) > 2000
     for kind, colour in colours.items():
         path = tmp_path / f"{kind}.png"
@@ -89,8 +89,19 @@ def test_any_name_of_a_video_will_do(tmp_path, name):
     table.provenance["video"]["name"] = name
     write_angle_figure(table, tmp_path / "a.png")
     image = cv2.imread(str(tmp_path / "a.png"))
-    assert image.shape == (900, 1800, 3)
+    assert image.shape == (720, 1440, 3)
     assert (image[:, -4:] == 255).all()  # nothing runs out of the picture
+
+
+def test_nothing_of_one_figure_shows_in_the_next(tmp_path):
+    """All are drawn on one sheet."""
+    plain, empty = make_table({}), make_table({}, n=0)
+    for name, table in (("plain", plain), ("empty", empty)):
+        write_angle_figure(table, tmp_path / f"{name}.png")
+        for flags, n in (({3: "damaged", 40: "undecodable"}, 900), ({0: "out_of_frame"}, 1), ({}, 0)):
+            write_angle_figure(make_table(flags, n=n), tmp_path / "other.png")
+        write_angle_figure(table, tmp_path / "again.png")
+        assert (tmp_path / "again.png").read_bytes() == (tmp_path / f"{name}.png").read_bytes()
 
 
 def test_pyplot_is_left_alone(tmp_path):

@@ -24,9 +24,17 @@ ThreadsOption = Annotated[int | None, typer.Option(min=1, help="Cores for the ne
 
 
 def load_network(
-    folder: Path, engine: str = "auto", device: str = "auto", threads: int | None = None
+    folder: Path,
+    engine: str = "auto",
+    device: str = "auto",
+    threads: int | None = None,
+    *,
+    soonest: bool = False,
 ) -> NetworkDetector:
-    """A network ready to track with; compiled first where that was not done yet and can be."""
+    """A network ready to track with; compiled first where that was not done yet and can be.
+
+    The arguments are those of `NetworkDetector.load`.
+    """
     from ...models.compiled import ENGINES, engine_record
     from ...models.detector import CHOICES, DEVICES, NetworkDetector
     from ...models.header import read_header, weights_file
@@ -40,7 +48,7 @@ def load_network(
     on_cpu = device == "cpu" or engine in ENGINES or not NetworkDetector.gpu_is_likely()
     if on_cpu and engine != "torch" and engine_record(file, file_sha256(file)) is None:
         _compile(folder)
-    return NetworkDetector.load(folder, engine=engine, device=device, threads=threads)
+    return NetworkDetector.load(folder, engine=engine, device=device, threads=threads, soonest=soonest)
 
 
 def measured_angle(project: Project, network: NetworkDetector) -> AngleDefinition:

@@ -86,7 +86,7 @@ def live(
         _check_free(opened, out)
     mode = _camera_mode(size, rate, camera_format)
     target = None if udp is None else UdpTarget(udp)
-    network = load_network(model_folders.chosen(opened, model), engine, device, threads)
+    network = load_network(model_folders.chosen(opened, model), engine, device, threads, soonest=True)
     definition = measured_angle(opened, network)
     options: dict[str, Any] = {}
     if opened.settings.tracking.min_likelihood is not None:
