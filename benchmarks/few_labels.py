@@ -26,10 +26,10 @@ from matplotlib.figure import Figure
 from rendered import rms
 
 from bendtrack.models.detector import NetworkDetector
-from bendtrack.models.inheritance import ENDS, parent_of
-from bendtrack.models.settings import TrainingSettings
+from bendtrack.models.learning.inheritance import ENDS, parent_of
+from bendtrack.models.learning.settings import TrainingSettings
+from bendtrack.models.learning.training import train
 from bendtrack.models.shipped import working_copy
-from bendtrack.models.training import train
 from bendtrack.tracker.angle import AngleDefinition, end_vector_px, label_noise_floor_deg
 from bendtrack.tracker.cli.engines import load_network
 from bendtrack.tracker.cli.tracking_runs import GLIMPSES

@@ -38,8 +38,8 @@ from rendered import LabelledTrial, labelled_trial, rms
 from bendtrack.labeling.interop.dlc import export_dlc
 from bendtrack.models.detector import NetworkDetector
 from bendtrack.models.engine import build_beside
-from bendtrack.models.settings import TrainingSettings
-from bendtrack.models.training import train
+from bendtrack.models.learning.settings import TrainingSettings
+from bendtrack.models.learning.training import train
 from bendtrack.tracker.angle import bending_angle
 from bendtrack.tracker.project import Project
 from bendtrack.tracker.results import write_results

@@ -17,18 +17,18 @@ if TYPE_CHECKING:
     from .cross_validation import cross_validate
     from .detector import NetworkDetector
     from .evaluation import Evaluation, evaluate
-    from .settings import TrainingSettings
-    from .training import train
+    from .learning.settings import TrainingSettings
+    from .learning.training import train
 
 _HOMES = {
     "Checkpoint": "checkpoint",
     "Evaluation": "evaluation",
     "NetworkDetector": "detector",
-    "TrainingSettings": "settings",
+    "TrainingSettings": "learning.settings",
     "cross_validate": "cross_validation",
     "evaluate": "evaluation",
     "load_checkpoint": "checkpoint",
-    "train": "training",
+    "train": "learning.training",
 }
 
 __all__ = [

@@ -12,10 +12,10 @@ import torch
 from torch import nn
 
 from ..tracker.types import Detections, FloatArray, Frames, ImageArray
-from .finder import LOCATOR_MULTIPLE, Finder
+from .finding.finder import LOCATOR_MULTIPLE, Finder
+from .finding.regions import WorkingRegion
 from .heatmaps import decode
 from .network import HeatmapNetwork
-from .regions import WorkingRegion
 
 CONVOLUTIONS = 2
 """Half of a ResNet-18's blocks find what all of them find, on thirty frames of one actuator."""

@@ -15,7 +15,7 @@ from safetensors.torch import load_file
 from ..tracker.atomic import atomic_write_text
 from ..tracker.types import Detections, Frames
 from .cascade import Cascade
-from .header import WEIGHTS_FILE, Header, read_header, told_as_damage, weights_file
+from .finding.header import WEIGHTS_FILE, Header, read_header, told_as_damage, weights_file
 from .network import BACKBONES
 from .tensor_files import write_tensors
 

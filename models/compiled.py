@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..tracker.types import Detections, ImageArray
-from .finder import Finder
+from .finding.finder import Finder
 
 ENGINES = ("openvino-int8", "openvino")
 """The compiled engines, the faster one first."""

@@ -14,9 +14,9 @@ from ..tracker.angle import AngleDefinition
 from ..tracker.errors import TrainingError
 from ..tracker.types import LabelledFrame
 from .evaluation import Evaluation, evaluate
-from .finder import joined
-from .settings import TrainingSettings
-from .training import Progress, train
+from .finding.finder import joined
+from .learning.settings import TrainingSettings
+from .learning.training import Progress, train
 
 
 def cross_validate(

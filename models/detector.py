@@ -16,11 +16,11 @@ from ..tracker.errors import CheckpointError
 from ..tracker.types import Detections, Frames
 from ..tracker.video import file_sha256
 from .compiled import ENGINES, compiled_finder, engine_record
-from .finder import Finder
-from .following import Follower
-from .header import Header, read_header, weights_file
-from .regions import WorkingRegion
-from .sighting import sight
+from .finding.finder import Finder
+from .finding.following import Follower
+from .finding.header import Header, read_header, weights_file
+from .finding.regions import WorkingRegion
+from .finding.sighting import sight
 
 TORCH = "torch"
 CHOICES = ("auto", *ENGINES, TORCH)

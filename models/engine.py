@@ -33,12 +33,12 @@ from ..tracker.video import file_sha256
 from .cascade import Cascade
 from .checkpoint import Checkpoint, load_checkpoint
 from .compiled import ENGINES, FORMAT, PARTS, RECORD, CompiledReader, engine_folder
-from .dataset import read_picture
-from .finder import Finder, Reader, joined
-from .header import weights_file
+from .finding.finder import Finder, Reader, joined
+from .finding.header import weights_file
 from .heatmaps import decode
+from .learning.dataset import read_picture
+from .learning.rendered import rendered_samples
 from .network import HeatmapNetwork, Maps
-from .rendered import rendered_samples
 
 MAX_DRIFT_PX = 0.1
 MAX_DRIFT_DEG = 0.1

@@ -18,8 +18,8 @@ from ..tracker.atomic import atomic_write_text
 from ..tracker.errors import LabelError
 from ..tracker.types import Detections, FloatArray, LabelledFrame
 from .checkpoint import Checkpoint
-from .dataset import read_image
-from .finder import joined
+from .finding.finder import joined
+from .learning.dataset import read_image
 
 
 @dataclass(frozen=True)

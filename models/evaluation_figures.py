@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 
 from ..tracker.atomic import atomic_path
 from ..tracker.types import FloatArray
-from .dataset import read_image
 from .evaluation import Evaluation
+from .learning.dataset import read_image
 
 WORST_FRAMES = 6
 

@@ -12,7 +12,7 @@ from platformdirs import user_cache_path
 from ..tracker.atomic import atomic_path
 from ..tracker.errors import BendtrackError, WeightsError, reason
 from ..tracker.video import file_sha256
-from .header import WEIGHTS_FILE
+from .finding.header import WEIGHTS_FILE
 
 WEIGHTS = Path(__file__).parent / "weights"
 

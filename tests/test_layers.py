@@ -85,6 +85,17 @@ def test_imports_follow_the_star(name: str, path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "path"),
+    [m for m in modules() if m[0].startswith("models.finding")],
+    ids=lambda value: str(value),
+)
+def test_finding_knows_no_network(name: str, path: Path) -> None:
+    for imported in imports(name, path):
+        assert ours(imported) != "models" or imported.startswith("bendtrack.models.finding"), imported
+        assert imported.split(".")[0] not in {"torch", "torchvision"}, imported
+
+
+@pytest.mark.parametrize(
+    ("name", "path"),
     [m for m in modules() if m[0].startswith("tracker.cli")],
     ids=lambda value: str(value)[-30:],
 )

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from bendtrack.models.cascade import Cascade
+from bendtrack.models.finding.regions import WorkingRegion
 from bendtrack.models.network import STRIDE, Maps
-from bendtrack.models.regions import WorkingRegion
 
 PARTNER = (1, 0)
 

@@ -12,12 +12,12 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
-from bendtrack.models.calibration import Calibration
 from bendtrack.models.cascade import Cascade
 from bendtrack.models.checkpoint import Checkpoint, load_checkpoint
 from bendtrack.models.detector import NetworkDetector
-from bendtrack.models.header import FORMAT, WEIGHTS_FILE
-from bendtrack.models.regions import WorkingRegion
+from bendtrack.models.finding.calibration import Calibration
+from bendtrack.models.finding.header import FORMAT, WEIGHTS_FILE
+from bendtrack.models.finding.regions import WorkingRegion
 from bendtrack.tracker.angle import AngleDefinition
 from bendtrack.tracker.errors import CheckpointError
 

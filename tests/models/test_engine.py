@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 import torch
 
-from bendtrack.models.calibration import Calibration
 from bendtrack.models.cascade import Cascade
 from bendtrack.models.checkpoint import Checkpoint, load_checkpoint
 from bendtrack.models.compiled import RECORD, engine_folder, engine_record
 from bendtrack.models.detector import NetworkDetector
 from bendtrack.models.engine import MAX_DRIFT_PX, build
-from bendtrack.models.regions import WorkingRegion
+from bendtrack.models.finding.calibration import Calibration
+from bendtrack.models.finding.regions import WorkingRegion
 from bendtrack.tracker.angle import AngleDefinition
 from bendtrack.tracker.errors import CheckpointError
 from bendtrack.tracker.project import Project

@@ -10,8 +10,13 @@ import torch
 import torchvision
 from safetensors.torch import save_file
 
-from bendtrack.models import initialisation
-from bendtrack.models.initialisation import imagenet_file, load_backbone, resolve_init, starting_weights
+from bendtrack.models.learning import initialisation
+from bendtrack.models.learning.initialisation import (
+    imagenet_file,
+    load_backbone,
+    resolve_init,
+    starting_weights,
+)
 from bendtrack.models.network import BACKBONES, HeatmapNetwork
 from bendtrack.tracker.errors import WeightsError
 

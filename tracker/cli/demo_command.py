@@ -118,7 +118,7 @@ def _compare(table: AngleTable, truth_path: Path, network: Path) -> None:
     import numpy as np
     import pandas as pd
 
-    from ...models.header import read_header
+    from ...models.finding.header import read_header
     from ..angle import end_vector_px, label_noise_floor_deg
 
     truth = pd.read_csv(truth_path)

@@ -33,8 +33,8 @@ def doctor() -> None:
     import torch
 
     from ...models.checkpoint import best_device
-    from ...models.initialisation import imagenet_file, resolve_init
-    from ...models.settings import TrainingSettings
+    from ...models.learning.initialisation import imagenet_file, resolve_init
+    from ...models.learning.settings import TrainingSettings
     from ...models.shipped import actuator_file
     from .demo_command import sample_folder
 

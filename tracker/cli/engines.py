@@ -37,7 +37,7 @@ def load_network(
     """
     from ...models.compiled import ENGINES, engine_record
     from ...models.detector import CHOICES, DEVICES, NetworkDetector
-    from ...models.header import read_header, weights_file
+    from ...models.finding.header import read_header, weights_file
     from ..video import file_sha256
 
     for option, value, choices in (("--engine", engine, CHOICES), ("--device", device, DEVICES)):

@@ -18,7 +18,7 @@ from .project_commands import ProjectArgument
 if TYPE_CHECKING:
     from ...models.checkpoint import Checkpoint
     from ...models.evaluation import Evaluation
-    from ...models.settings import TrainingSettings
+    from ...models.learning.settings import TrainingSettings
     from ..project import Project
     from ..types import LabelledFrame
 
@@ -137,8 +137,8 @@ def evaluate(
 
 
 def project_settings(project: Project, given: dict[str, Any]) -> TrainingSettings:
-    """Training settings: as given, else as in bendtrack.toml, else the defaults of `models.settings`."""
-    from ...models.settings import TrainingSettings
+    """Training settings: as given, else as in bendtrack.toml, else the defaults of `models.learning.settings`."""
+    from ...models.learning.settings import TrainingSettings
 
     stored = {k: v for k, v in project.settings.training.model_dump().items() if v is not None}
     # A weights file named in bendtrack.toml lies where the project says, from wherever it is called.
@@ -157,8 +157,8 @@ def train_network(
     How the network does on the frames that were held out; None without any.
     """
     from ...models.evaluation import not_trained_on
-    from ...models.training import train
-    from ...models.training_state import STATE_FILE
+    from ...models.learning.training import train
+    from ...models.learning.training_state import STATE_FILE
     from . import progress_bars
 
     frames = _labels(project, project.keypoints)
@@ -332,7 +332,7 @@ def _definition(project: Project, frames: list[LabelledFrame]) -> Any:
 
 
 def _say_start(settings: TrainingSettings) -> None:
-    from ...models.initialisation import resolve_init
+    from ...models.learning.initialisation import resolve_init
 
     start = resolve_init(settings.init, settings.backbone)
     words = f"Start: {settings.backbone} with {start} weights"
@@ -342,7 +342,7 @@ def _say_start(settings: TrainingSettings) -> None:
 
 
 def _stored_settings(folder: Path, given: dict[str, Any]) -> TrainingSettings:
-    from ...models.settings import TrainingSettings
+    from ...models.learning.settings import TrainingSettings
 
     path = folder / model_folders.SETTINGS_FILE
     try:

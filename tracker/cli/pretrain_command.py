@@ -30,10 +30,10 @@ def pretrain(
     Many hours on two cores; can be stopped at any time. `train --init OUT/weights.safetensors`
     starts from what came of it, finished or not.
     """
-    from ...models.header import WEIGHTS_FILE
-    from ...models.pretraining import PretrainingSettings
-    from ...models.pretraining import pretrain as run
-    from ...models.training_state import STATE_FILE
+    from ...models.finding.header import WEIGHTS_FILE
+    from ...models.learning.pretraining import PretrainingSettings
+    from ...models.learning.pretraining import pretrain as run
+    from ...models.learning.training_state import STATE_FILE
     from . import progress_bars
 
     if not resume and (out / STATE_FILE).is_file():

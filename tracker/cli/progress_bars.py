@@ -15,7 +15,7 @@ from rich.text import Text
 from . import talk
 
 if TYPE_CHECKING:
-    from ...models.training import Progress
+    from ...models.learning.training import Progress
 
 
 class _Rate(ProgressColumn):

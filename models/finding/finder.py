@@ -1,0 +1,238 @@
+"""How two trained networks find keypoints in frames: locate them in the working region, then look closely at each.
+
+Knows networks only as functions from pictures to positions (`Reader`), so torch and compiled engines share every line
+of it. The networks themselves are in `cascade.py`, compiled ones in `compiled.py`, videos in `following.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from ...tracker.types import BoolArray, Detections, FloatArray, Frames, ImageArray, IntArray
+from .regions import WorkingRegion, patch_directions
+from .views import PATCH_SIDE, View, patch_view, resize, resized_view
+
+LOCATOR_MULTIPLE = 32
+"""The locator's input sides are multiples of this: its four stages halve them five times."""
+
+COLLAPSE_LIKELIHOOD = 0.15
+"""A keypoint whose peak in the working region is under this is sought in the whole frame: a bend beyond the labelled
+ones may carry the tip out of the region. (Peaks of what is there are 0.4 to 0.9.)"""
+
+GRID_PATCH_PX = 4.0
+GRID_TURN_DEG = 3.0
+"""Where patches can be, and how they can be turned. Half a step of either is little beside what training varies."""
+
+MOST_LOOKS = 3
+"""Patches of a keypoint in a frame: around where it may be, around what was found, and once more."""
+
+MAX_INPUT_PX = 1 << 20
+"""Input px that go through a network at once: its first layer's maps take 64 bytes for each."""
+
+
+class Reader(Protocol):
+    """A network as a function."""
+
+    def __call__(self, pictures: ImageArray) -> Detections:
+        """Every keypoint in pictures (N, 3, H, W) uint8 RGB, positions and covariances in their own px."""
+
+
+@dataclass(frozen=True)
+class Patch:
+    """What the refiner is shown of a frame for one keypoint.
+
+    Attributes
+    ----------
+    picture : (PATCH_SIDE, PATCH_SIDE, 3) uint8
+    view : from frame px to patch px
+    """
+
+    picture: ImageArray
+    view: View
+
+
+@dataclass(frozen=True)
+class Finder:
+    """Locator and refiner at work.
+
+    Attributes
+    ----------
+    locate : reads the working region
+    refine : reads patches; patch i of a frame is asked for keypoint i only
+    peaks : places that `locate` offers for each keypoint, next to each other, the likeliest first
+    """
+
+    locate: Reader
+    refine: Reader
+    peaks: int = 1
+
+    def detect(self, frames: Frames, region: WorkingRegion, partner: Sequence[int]) -> Detections:
+        """Find the keypoints in frames of one size, each by itself.
+
+        Parameters
+        ----------
+        region : where to look, made for frames of this size (`Header.region_for`)
+        partner : from `regions.partners`
+        """
+        xy, likelihood = self.located(frames, region)
+        found = self.refined(frames, xy, region, partner)
+        # Both must have seen it: a locator that guesses through a hand, or a patch that shows something else.
+        return Detections(found.xy, np.minimum(likelihood, found.likelihood), found.covariance)
+
+    def located(self, frames: Frames, region: WorkingRegion) -> tuple[FloatArray, FloatArray]:
+        """Rough positions (N, K, 2) px and likelihoods (N, K), from the working region or else the whole frame."""
+        xy, likelihood = self._located(frames, region)
+        everything = region.whole_frame()
+        lost = np.flatnonzero(likelihood.min(axis=1) < COLLAPSE_LIKELIHOOD).tolist()
+        for i in lost if region != everything else []:
+            elsewhere, score = self._located(frames[i : i + 1], everything)
+            better = (score[0] > likelihood[i]) & (likelihood[i] < COLLAPSE_LIKELIHOOD)
+            xy[i, better], likelihood[i, better] = elsewhere[0, better], score[0, better]
+        return xy, likelihood
+
+    def refined(
+        self, frames: Frames, xy: FloatArray, region: WorkingRegion, partner: Sequence[int]
+    ) -> Detections:
+        """Look closely at each keypoint, near where it is thought to be, xy (N, K, 2) px."""
+        found = foretold(xy)
+        self.settle(found, np.ones(xy.shape[:2], bool), frames, region, partner)
+        return found
+
+    def settle(
+        self,
+        found: Detections,
+        wanted: BoolArray,
+        frames: Frames,
+        region: WorkingRegion,
+        partner: Sequence[int],
+    ) -> None:
+        """Look where keypoints may be, then around what was found there, until each is where it is looked for.
+
+        Who begins a little off ends at the same patch, and so at the same position. A keypoint between two places,
+        each of which points to the other, is at the mean of what is found in both.
+
+        Parameters
+        ----------
+        found : where they may be, (N, K); what is found is written into it
+        wanted : (N, K) bool, which are to be looked for; it is changed
+        """
+        values = (found.xy, found.likelihood, found.covariance)
+        at = places(found.xy, region, partner)
+        before = np.full_like(at, np.iinfo(at.dtype).min)
+        for _ in range(MOST_LOOKS):
+            if not wanted.any():
+                break
+            earlier = [value.copy() for value in values]
+            rows, keypoints = np.nonzero(wanted)
+            patches = [cut_patch(frames[i], at[i, k], region) for i, k in np.argwhere(wanted).tolist()]
+            seen = self.read(patches, keypoints)
+            for value, new in zip(values, (seen.xy, seen.likelihood, seen.covariance), strict=True):
+                value[rows, keypoints] = new[:, 0]
+            following = places(found.xy, region, partner)
+            between = wanted & (following == before).all(axis=2)
+            for value, old in zip(values, earlier, strict=True):
+                value[between] = (value[between] + old[between]) / 2
+            wanted &= (following != at).any(axis=2) & ~between
+            before, at = at, following
+
+    def read(self, patches: Sequence[Patch], keypoint: IntArray) -> Detections:
+        """What the refiner finds in M patches, each asked for one keypoint: detections (M, 1), in frame px."""
+        read = _read(self.refine, [patch.picture for patch in patches])
+        own = np.arange(len(patches))
+        matrices = np.stack([patch.view.matrix for patch in patches])
+        inverse = np.linalg.inv(matrices[:, :, :2])
+        xy = np.einsum("nij,nj->ni", inverse, read.xy[own, keypoint] - matrices[:, :, 2])
+        covariance = inverse @ read.covariance[own, keypoint] @ inverse.transpose(0, 2, 1)
+        return Detections(xy[:, None], read.likelihood[own, keypoint, None], covariance[:, None])
+
+    def offered(self, frames: Frames, region: WorkingRegion) -> tuple[FloatArray, FloatArray]:
+        """Places (N, K, M, 2) px in the working region that may be each keypoint's, and likelihoods (N, K, M)."""
+        view = region.locator_view(LOCATOR_MULTIPLE)
+        read = _read(self.locate, [_region_picture(frame, region, view) for frame in frames])
+        shape = (len(frames), -1, self.peaks)
+        return view.to_source(read.xy).reshape(*shape, 2), read.likelihood.reshape(shape)
+
+    def _located(self, frames: Frames, region: WorkingRegion) -> tuple[FloatArray, FloatArray]:
+        """The likeliest place of each keypoint in the working region, as `located`."""
+        xy, likelihood = self.offered(frames, region)
+        return xy[:, :, 0].copy(), likelihood[:, :, 0].copy()
+
+
+def foretold(xy: FloatArray) -> Detections:
+    """Positions (N, K, 2) px where keypoints may be, that nobody has seen there yet."""
+    n, k = xy.shape[:2]
+    return Detections(xy.copy(), np.zeros((n, k)), np.zeros((n, k, 2, 2)))
+
+
+def places(near: FloatArray, region: WorkingRegion, partner: Sequence[int]) -> IntArray:
+    """Where patches are cut for keypoints thought to be at `near` (..., K, 2) px: grid numbers (..., K, 3).
+
+    They are middle x, middle y and turn, upright by each keypoint's partner. Where a patch is cut shifts what is found
+    in it by a tenth of a px; on a grid, a keypoint is looked at in the same way whoever said where it may be.
+    """
+    return np.rint(on_grid(near, region, partner)).astype(int)
+
+
+def on_grid(near: FloatArray, region: WorkingRegion, partner: Sequence[int]) -> FloatArray:
+    """`places` before they are rounded."""
+    middle = near * (region.refiner_scale / GRID_PATCH_PX)
+    turn = patch_directions(near, partner) / np.deg2rad(GRID_TURN_DEG)
+    return np.concatenate([middle, turn[..., None]], axis=-1)
+
+
+def cut_patch(frame: ImageArray, place: IntArray, region: WorkingRegion) -> Patch:
+    """The patch of a frame at a place (3,)."""
+    middle = place[:2] * (GRID_PATCH_PX / region.refiner_scale)
+    turn = float(place[2] * np.deg2rad(GRID_TURN_DEG))
+    if region.fine_scale == 1.0:
+        view = patch_view(middle, region.magnification, turn)
+        return Patch(view.cut(frame), view)
+    source, source_view = _around(frame, middle, region)
+    view = patch_view(source_view.to_input(middle), region.magnification, turn)
+    return Patch(view.cut(source), view.after(source_view))
+
+
+def joined(parts: Sequence[Detections]) -> Detections:
+    """Detections of several batches as one."""
+    return Detections(
+        np.concatenate([part.xy for part in parts]),
+        np.concatenate([part.likelihood for part in parts]),
+        np.concatenate([part.covariance for part in parts]),
+    )
+
+
+def _read(reader: Reader, pictures: Sequence[ImageArray]) -> Detections:
+    """Pictures (H, W, 3) of one size, a few at a time so that memory stays flat whatever their size."""
+    at_once = max(1, MAX_INPUT_PX // (pictures[0].shape[0] * pictures[0].shape[1]))
+    parts = []
+    for start in range(0, len(pictures), at_once):
+        stacked = np.stack(pictures[start : start + at_once])
+        parts.append(reader(np.ascontiguousarray(stacked.transpose(0, 3, 1, 2))))
+    return parts[0] if len(parts) == 1 else joined(parts)
+
+
+def _region_picture(frame: ImageArray, region: WorkingRegion, view: View) -> ImageArray:
+    """The frame through the region's view; shrunk by areas, since a bilinear cut would skip pixels."""
+    w, h = view.size_wh
+    # So many px of the frame fill the input; the frame's border is repeated where they reach beyond it.
+    right = min(frame.shape[1], region.left + int(np.ceil(w / region.locator_scale)) + 2)
+    bottom = min(frame.shape[0], region.top + int(np.ceil(h / region.locator_scale)) + 2)
+    small = resize(frame[region.top : bottom, region.left : right], region.locator_scale)[:h, :w]
+    missing_h, missing_w = h - small.shape[0], w - small.shape[1]
+    return np.pad(small, ((0, missing_h), (0, missing_w), (0, 0)), mode="edge")
+
+
+def _around(frame: ImageArray, middle: FloatArray, region: WorkingRegion) -> tuple[ImageArray, View]:
+    """A part of a frame around a patch's middle, made as small as the refiner looks at it, and how."""
+    scale = region.fine_scale
+    h, w = frame.shape[:2]
+    # Half of a turned patch's diagonal, and a little for the interpolation.
+    reach = (PATCH_SIDE * 0.71 + 2) / scale
+    left, top = (int(v) for v in np.clip(middle - reach, 0, (w - 2, h - 2)))
+    right, bottom = (int(v) for v in np.clip(middle + reach + 1, (left + 2, top + 2), (w, h)))
+    part = resize(frame[top:bottom, left:right], scale)
+    return part, resized_view(scale, (left, top), (part.shape[1], part.shape[0]))

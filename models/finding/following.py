@@ -1,0 +1,175 @@
+"""Following keypoints through a video: where they were tells where to look next, so the locator mostly rests.
+
+What is found is the refiner's word alone, as in single frames; the past only says where its patches are cut, and what
+a patch shows that shows the same as before. Wherever a patch does not show what it should, the frame is searched as if
+it were the first; and every so often the locator says whether it would look elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ...tracker.types import Detections, FloatArray, Frames, IntArray
+from .finder import Finder, cut_patch, foretold, joined, on_grid
+from .header import Header
+from .regions import WorkingRegion
+from .stillness import Sight
+
+AHEAD = 2
+"""Frames that are looked at together, at positions foretold from those before them."""
+
+SURE_SHARE = 0.5
+"""A peak lower than this share of the usual one is not believed without a search."""
+
+CHECK_EVERY = 60
+"""Frames after which the locator is asked whatever the patches say: a false track ends within two seconds."""
+
+LOST_PATCH_PX = 16.0
+"""A keypoint that the locator puts further off than this is searched, and what is seen better is believed."""
+
+RESTING_PATCH_PX = 0.5
+"""A keypoint that moved by less from one frame to the next may be at rest."""
+
+ENOUGH = 4
+"""Times that a keypoint at rest is read; afterwards it is taken to be at the mean."""
+
+SAME_PLACE = 0.75
+"""Steps of the grid that a keypoint at rest may lie from where it is compared."""
+
+Believed = Callable[[Detections, WorkingRegion], Detections]
+
+
+@dataclass
+class _Known:
+    """What was found, on average, of a keypoint at rest, each time beginning with the same sight at a place."""
+
+    place: IntArray
+    sight: Sight
+    times: int = 0
+    xy: FloatArray = field(default_factory=lambda: np.zeros(2))
+    likelihood: float = 0.0
+    covariance: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
+
+    def add(self, xy: FloatArray, likelihood: float, covariance: FloatArray) -> None:
+        """Take in what was found once more."""
+        self.times += 1
+        self.xy = self.xy + (xy - self.xy) / self.times
+        self.likelihood += (likelihood - self.likelihood) / self.times
+        self.covariance = self.covariance + (covariance - self.covariance) / self.times
+
+
+class Follower:
+    """Finds the keypoints in the frames of one video, given in order.
+
+    Parameters
+    ----------
+    believed : what is made of what was found in a region; None calibrates it
+    """
+
+    def __init__(self, finder: Finder, header: Header, believed: Believed | None = None) -> None:
+        self._finder = finder
+        self._header = header
+        self._believed = believed or header.calibrated
+        self._sure = SURE_SHARE * header.calibration.usual
+        self._last: FloatArray | None = None
+        self._step = np.zeros((len(header.keypoints), 2))
+        self._until_check = 0
+        self._passed_over = 0
+        self._known: list[_Known | None] = [None] * len(header.keypoints)
+
+    def pass_over(self, frames: int) -> None:
+        """Say that so many frames, the next ones of the video, will not be given: keypoints move on meanwhile."""
+        self._passed_over += frames
+
+    def detect(self, frames: Frames) -> Detections:
+        """Keypoints of the video's next frames, (N, H, W, 3) uint8 RGB, calibrated."""
+        h, w = frames[0].shape[:2]
+        self._region = self._header.region_for((w, h))
+        # The first frame tells where to look in the others.
+        begin = 1 if self._last is None else 0
+        parts = [self._next(frames[:begin])] if begin else []
+        parts += [self._next(frames[i : i + AHEAD]) for i in range(begin, len(frames), AHEAD)]
+        return self._believed(joined(parts), self._region)
+
+    def _next(self, frames: Frames) -> Detections:
+        if self._last is None:
+            found = self._search(frames)
+        else:
+            ahead = self._passed_over + np.arange(1, len(frames) + 1)[:, None, None]
+            found = self._look(frames, foretold(self._last + ahead * self._step))
+            self._until_check -= len(frames)
+            if self._until_check <= 0:
+                found = self._checked(frames, found)
+        before, apart = (self._last, 1 + self._passed_over) if len(frames) == 1 else (found.xy[-2], 1)
+        self._step = np.zeros_like(found.xy[-1]) if before is None else (found.xy[-1] - before) / apart
+        self._last, self._passed_over = found.xy[-1], 0
+        return found
+
+    def _look(self, frames: Frames, found: Detections) -> Detections:
+        """Find keypoints near where they are foretold; frames in which that fails are searched."""
+        region, partner = self._region, self._header.partner
+        moved_px = np.linalg.norm(self._step, axis=1) * region.refiner_scale
+        resting = np.flatnonzero(moved_px < RESTING_PATCH_PX).tolist()
+        expected = on_grid(found.xy, region, partner)
+        wanted = np.ones(expected.shape[:2], bool)
+        anew: list[tuple[int, int, _Known]] = []
+        for i, frame in enumerate(frames):
+            for k in resting:
+                known, anywhere = self._known[k], expected[i, k]
+                # What rests between two places is compared at the one where it was seen first.
+                here = known is not None and np.abs(known.place - anywhere).max() < SAME_PLACE
+                place = known.place if known and here else np.rint(anywhere).astype(int)
+                picture = cut_patch(frame, place, region).picture
+                if not (known and here and known.sight.is_still(picture)):
+                    known = _Known(place, Sight(picture))
+                if known.times < ENOUGH:
+                    anew.append((i, k, known))
+                else:
+                    found.xy[i, k], found.likelihood[i, k] = known.xy, known.likelihood
+                    found.covariance[i, k] = known.covariance
+                    wanted[i, k] = False
+        self._finder.settle(found, wanted, frames, region, partner)
+        for i, k, known in anew:
+            known.add(found.xy[i, k], found.likelihood[i, k], found.covariance[i, k])
+            self._known[k] = known
+        lost = np.flatnonzero((found.likelihood < self._sure).any(axis=1)).tolist()
+        return _with(found, lost, self._search([frames[i] for i in lost])) if lost else found
+
+    def _checked(self, frames: Frames, found: Detections) -> Detections:
+        """What was found, unless the locator would look elsewhere in the last frame, and more is seen there."""
+        self._until_check = CHECK_EVERY
+        located, _ = self._finder.located(frames[-1:], self._region)
+        if not self._elsewhere(located[0], found).any():
+            return found
+        searched = self._search(frames)
+        better = searched.likelihood[-1] > found.likelihood[-1]
+        return searched if (self._elsewhere(searched.xy[-1], found) & better).any() else found
+
+    def _elsewhere(self, xy: FloatArray, found: Detections) -> np.ndarray:
+        return self._distance(xy, found.xy[-1]) > LOST_PATCH_PX
+
+    def _search(self, frames: Frames) -> Detections:
+        self._until_check = CHECK_EVERY
+        return self._finder.detect(frames, self._region, self._header.partner)
+
+    def _distance(self, one: FloatArray, other: FloatArray) -> FloatArray:
+        """Distances (..., K) in px of the refiner's patches."""
+        distance: FloatArray = np.linalg.norm(one - other, axis=-1) * self._region.refiner_scale
+        return distance
+
+
+def _with(found: Detections, rows: Sequence[int], others: Detections) -> Detections:
+    """Detections with some rows replaced."""
+    parts = [
+        (found.xy, others.xy),
+        (found.likelihood, others.likelihood),
+        (found.covariance, others.covariance),
+    ]
+    replaced = []
+    for own, other in parts:
+        replaced.append(own.copy())
+        replaced[-1][rows] = other
+    return Detections(*replaced)

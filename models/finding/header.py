@@ -1,0 +1,163 @@
+"""What a trained network means: its keypoints, its angle, where it looks and how far it can be believed.
+
+All of a checkpoint but the weights, and all that is needed beside a compiled network; knows nothing of torch.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from safetensors import SafetensorError, safe_open
+
+from ...tracker.angle import AngleDefinition
+from ...tracker.errors import BendtrackError, CheckpointError
+from ...tracker.types import Detections
+from .calibration import Calibration
+from .label_mean import with_offset
+from .regions import WorkingRegion
+
+WEIGHTS_FILE = "weights.safetensors"
+FORMAT = 2
+"""Raised when the networks' layers change."""
+
+PRETRAINED_PEAKS = 4
+"""`Header.peaks` of a network that has seen no actuator's labels, and so takes one thing for another."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Header:
+    """What a trained network means.
+
+    Attributes
+    ----------
+    backbone : of both its networks
+    keypoints : names, in the order of its output
+    definition : the angle the project measures, its sign resolved
+    regions : one for each frame size among the labels
+    partner : for each keypoint the one that its patch is turned by
+    calibration : what turns the network's spreads into covariances of positions
+    label_offset : for each keypoint from `label_mean.label_offset`; empty where it is in the weights
+    training : settings, what the weights started from, frames trained on and held out
+    """
+
+    backbone: str
+    keypoints: tuple[str, ...]
+    definition: AngleDefinition
+    regions: tuple[WorkingRegion, ...]
+    partner: tuple[int, ...]
+    calibration: Calibration
+    label_offset: tuple[tuple[float, float], ...] = ()
+    training: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def pretrained(self) -> bool:
+        """Whether it learnt from the stream's pictures, and not from labels."""
+        return "pictures" in self.training
+
+    @property
+    def peaks(self) -> int:
+        """Places that the locator offers for each keypoint: several where it may take one end for the other."""
+        return PRETRAINED_PEAKS if self.pretrained else 1
+
+    def region_for(self, frame_wh: tuple[int, int]) -> WorkingRegion:
+        """The working region for frames of a size: its own, or the first one's, searched whole."""
+        own = (region for region in self.regions if region.frame_wh == frame_wh)
+        return next(own, self.regions[0].for_frame(frame_wh))
+
+    def calibrated(self, found: Detections, region: WorkingRegion) -> Detections:
+        """What the networks found in frames of a region, with the labels' mean and believable uncertainties."""
+        if self.label_offset:
+            xy = with_offset(found.xy, np.array(self.label_offset), self.partner, region.refiner_scale)
+            found = replace(found, xy=xy)
+        return self.calibration.apply(found)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready, and read back by `read_header`."""
+        return {
+            "format": FORMAT,
+            "bendtrack": version("bendtrack"),
+            "backbone": self.backbone,
+            "keypoints": list(self.keypoints),
+            "angle": {
+                "definition": self.definition.name,
+                "points": list(self.definition.points),
+                "sign": self.definition.sign,
+            },
+            "regions": [region.to_dict() for region in self.regions],
+            "partner": list(self.partner),
+            "label_offset_patch_px": [list(offset) for offset in self.label_offset],
+            "calibration": {**asdict(self.calibration), "usual_peak": list(self.calibration.usual_peak)},
+            "training": dict(self.training),
+        }
+
+
+def weights_file(path: Path) -> Path:
+    """The checkpoint's file, given itself or its folder."""
+    path = Path(path)
+    return path / WEIGHTS_FILE if path.is_dir() else path
+
+
+def read_header(path: Path, backbones: Sequence[str] = ()) -> Header:
+    """Read what a checkpoint means from its file or its folder, without its weights.
+
+    Parameters
+    ----------
+    backbones : those that are known; empty takes any
+
+    Raises
+    ------
+    CheckpointError
+        If it is missing, damaged, of another format, or not ours.
+    """
+    path = weights_file(path)
+    if not path.is_file():
+        raise CheckpointError(
+            f"expected a trained network at {path}, got no such file; run `bendtrack train` first"
+        )
+    with told_as_damage(path):
+        with safe_open(path, "np") as file:
+            metadata = file.metadata() or {}
+        if "bendtrack" not in metadata:
+            raise CheckpointError(
+                f"{path}: expected a bendtrack checkpoint, got safetensors without its header"
+            )
+        header = json.loads(metadata["bendtrack"])
+        if header["format"] != FORMAT:
+            remedy = "update bendtrack" if header["format"] > FORMAT else "train again"
+            raise CheckpointError(
+                f"{path}: expected checkpoint format {FORMAT}, got {header['format']}: {remedy}"
+            )
+        if backbones and header["backbone"] not in backbones:
+            raise CheckpointError(f"{path}: expected a known backbone, got {header['backbone']!r}")
+        angle = header["angle"]
+        return Header(
+            backbone=header["backbone"],
+            keypoints=tuple(header["keypoints"]),
+            definition=AngleDefinition(angle["definition"], tuple(angle["points"]), angle["sign"]),
+            regions=tuple(WorkingRegion.from_dict(r) for r in header["regions"]),
+            partner=tuple(header["partner"]),
+            calibration=Calibration.from_dict(header["calibration"]),
+            label_offset=tuple((x, y) for x, y in header.get("label_offset_patch_px", [])),
+            training=header["training"],
+        )
+
+
+@contextmanager
+def told_as_damage(path: Path) -> Iterator[None]:
+    """Turn the errors of a file that is not what it should be into a CheckpointError."""
+    try:
+        yield
+    except BendtrackError:
+        raise
+    except (SafetensorError, OSError, RuntimeError, KeyError, TypeError, ValueError) as error:
+        reason = (str(error) or type(error).__name__).splitlines()[0]
+        raise CheckpointError(
+            f"{path}: expected a bendtrack checkpoint, got a damaged file ({reason})"
+        ) from error

@@ -1,0 +1,242 @@
+"""Finding an actuator that nobody has labelled: where in a video it is, how large, and which of its ends is fixed.
+
+A network that knows actuators in general (`pretraining.py`) finds canonical points in single pictures. A video tells
+more: the fixed end is the one that does not move, and the actuator is the same one all the time. What comes out is a
+header for this video, with which the network is put to work like any other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...tracker.angle import bending_angle
+from ...tracker.errors import VideoError
+from ...tracker.types import BoolArray, Detections, FloatArray, Frames
+from .assembly import assembled
+from .calibration import Calibration
+from .finder import Finder
+from .header import Header
+from .regions import WorkingRegion, body_length_px, find_region
+
+FIRST_SIDES = (96, 128, 192, 256)
+"""Input px of a whole frame's long side at a first look: actuators fill a fifth of a picture, or nearly all of it."""
+
+BODY_SIDE = 64
+"""Input px of the body's length where it is looked at once more: as large as in most of pretraining's pictures."""
+
+WIDE_PATCH_SHARE = 0.25
+"""A patch shows so much of the body's length: more than where labels tell where things are."""
+
+SURE = 0.5
+"""A keypoint counts as seen from this share of its usual peak on."""
+
+LEAST_SEEN = 0.3
+"""Share of the glimpses in which most of the keypoints must be seen, and the fixed end where it is held."""
+
+HELD_SHARE = 0.1
+"""The fixed end is found where it is held, within so much of the body's length."""
+
+ALIKE_SHARE = 0.3
+"""How far an end's length may be from its usual one, as a share of that: ends do not stretch, but may turn away."""
+
+LEAST_SAME = 0.6
+"""Share of the glimpses that must show the same actuator, or the angles would be mostly guessed."""
+
+STILL_SHARE = 0.5
+"""An end that moves by less than so much of what the other moves is the fixed one."""
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """An actuator in a video.
+
+    Attributes
+    ----------
+    header : the network's for this video: region, and the angle's sign
+    finder : knows where the fixed end is, and the body's length
+    ends_px : (2,) px, lengths of the fixed and the moving end, which a bend does not change
+    seen : share of the glimpses in which the actuator was seen, held where it is in the others and of one shape
+    """
+
+    header: Header
+    finder: HeldFinder
+    ends_px: FloatArray
+    seen: float
+
+    def doubted(self, found: Detections) -> Detections:
+        """What was found in frames of the video; nothing is believed of a frame that shows another actuator."""
+        same = _same(found.xy, self.finder.fixed_xy, self.finder.body_px, self.ends_px)
+        return replace(found, likelihood=np.where(same[:, None], found.likelihood, 0.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldFinder(Finder):
+    """A finder that knows where the actuator is held and how long it is: of the places offered it takes those that fit.
+
+    Attributes
+    ----------
+    fixed_xy : (2,) px, where the fixed end is
+    body_px : the body's length
+    calibration : the network's, which says what a peak is worth
+    """
+
+    fixed_xy: FloatArray
+    body_px: float
+    calibration: Calibration
+
+    def _located(self, frames: Frames, region: WorkingRegion) -> tuple[FloatArray, FloatArray]:
+        xy, peak = self.offered(frames, region)
+        likelihood = self.calibration.likelihood(peak)
+        xy, likelihood = assembled(xy, likelihood, self.fixed_xy, self.body_px)
+        return xy, likelihood * self.calibration.usual
+
+
+def oriented(xy: FloatArray, likelihood: FloatArray, fixed_xy: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Positions (N, K, 2) and likelihoods (N, K), the chain turned round where its last end lies at the fixed place."""
+    away = np.linalg.norm(xy[:, [0, -1]] - fixed_xy, axis=2)
+    wrong = away[:, 0] > away[:, 1]
+    return (
+        np.where(wrong[:, None, None], xy[:, ::-1], xy),
+        np.where(wrong[:, None], likelihood[:, ::-1], likelihood),
+    )
+
+
+def sight(glimpses: Frames, header: Header, finder: Finder) -> Sighting:
+    """Find the actuator in frames spread over a video.
+
+    Parameters
+    ----------
+    glimpses : (N, H, W, 3) uint8 RGB, of one size
+    header, finder : of a network whose keypoints are a chain from the fixed end to the moving one
+
+    Raises
+    ------
+    VideoError
+        No actuator can be seen.
+    """
+    h, w = glimpses[0].shape[:2]
+    likelihood = header.calibration.likelihood
+
+    def look(region: WorkingRegion) -> _Look:
+        xy, peak = finder.located(glimpses, region)
+        return _agreed(region, xy, likelihood(peak))
+
+    def look_again(region: WorkingRegion, fixed_xy: FloatArray, body_px: float) -> _Look:
+        xy, peak = finder.offered(glimpses, region)
+        return _agreed(region, *assembled(xy, likelihood(peak), fixed_xy, body_px))
+
+    whole = [WorkingRegion((w, h), 0, 0, w, h, min(1.0, side / max(w, h)), 1.0) for side in FIRST_SIDES]
+    best = max((look(region) for region in whole), key=lambda found: found.worth)
+    # Once more where it is, at the scale that fits it, until that settles.
+    for _ in range(2):
+        xy = _seen(best)
+        best = look_again(_fitting_region(xy, (w, h)), best.fixed_xy, body_length_px(xy))
+    body_px = body_length_px(_seen(best))
+    xy = finder.refined(glimpses, best.xy, best.region, header.partner).xy
+    fixed_xy = np.median(xy[best.sound, 0], axis=0)
+    ends_px = np.median(_ends_px(xy[best.sound]), axis=0)
+    same = best.sound & _same(xy, fixed_xy, body_px, ends_px)
+    if same.mean() < LEAST_SAME:
+        raise VideoError(
+            f"expected an actuator whose ends keep their lengths, got one in {100 * same.mean():.0f} % of the frames"
+            " looked at; label some frames: `bendtrack new`"
+        )
+    angle_deg, _, _ = bending_angle(xy[same], header.keypoints, replace(header.definition, sign=1))
+    definition = replace(header.definition, sign=-1 if np.nansum(angle_deg) < 0 else 1)
+    header = replace(header, regions=(best.region,), definition=definition)
+    parts = finder.locate, finder.refine, finder.peaks
+    knowing = HeldFinder(*parts, fixed_xy=fixed_xy, body_px=body_px, calibration=header.calibration)
+    return Sighting(header, knowing, ends_px, float(same.mean()))
+
+
+def _ends_px(xy: FloatArray) -> FloatArray:
+    """Lengths (N, 2) px of the fixed and the moving end of chains (N, K, 2) px."""
+    return np.linalg.norm(xy[:, [1, -1]] - xy[:, [0, -2]], axis=2)
+
+
+def _same(xy: FloatArray, fixed_xy: FloatArray, body_px: float, ends_px: FloatArray) -> BoolArray:
+    """Frames (N,) in which chains (N, K, 2) px are held at the fixed end and have ends of the right lengths."""
+    alike = np.abs(_ends_px(xy) - ends_px) <= ALIKE_SHARE * ends_px
+    return np.asarray(_held(xy, fixed_xy, body_px) & alike.all(axis=1))
+
+
+def _held(xy: FloatArray, fixed_xy: FloatArray, body_px: float) -> BoolArray:
+    """Frames (N,) in which chains (N, K, 2) px begin where the actuator is held."""
+    return np.asarray(np.linalg.norm(xy[:, 0] - fixed_xy, axis=1) <= HELD_SHARE * body_px)
+
+
+@dataclass(frozen=True)
+class _Look:
+    """What is found in the glimpses within one region.
+
+    Attributes
+    ----------
+    xy : (N, K, 2) px, from the fixed end
+    clear : (N,) bool, most keypoints are seen
+    sound : (N,) bool, clear, and the fixed end is where it always is
+    worth : how much speaks for it: sound glimpses, and how well their keypoints are seen
+    """
+
+    region: WorkingRegion
+    xy: FloatArray
+    clear: BoolArray
+    sound: BoolArray
+    fixed_xy: FloatArray
+    worth: float
+
+
+def _agreed(region: WorkingRegion, xy: FloatArray, likelihood: FloatArray) -> _Look:
+    """Single glimpses held against each other: where the fixed end is, and in which of them it is found there."""
+    clear = np.median(likelihood, axis=1) >= SURE
+    fixed_xy = _fixed_end(xy[clear]) if clear.any() else np.full(2, np.nan)
+    xy, likelihood = oriented(xy, likelihood, fixed_xy)
+    sound = clear & _held(xy, fixed_xy, body_length_px(xy[clear]))
+    worth = float(np.where(sound, likelihood.mean(axis=1), 0.0).mean())
+    return _Look(region, xy, clear, sound, fixed_xy, worth)
+
+
+def _seen(found: _Look) -> FloatArray:
+    """Keypoints (M, K, 2) px in the sound glimpses.
+
+    Raises
+    ------
+    VideoError
+        There are too few.
+    """
+    clear, sound = (100 * float(share.mean()) for share in (found.clear, found.sound))
+    if clear < 100 * LEAST_SEEN:
+        raise VideoError(
+            f"expected an actuator in sight, got one in {clear:.0f} % of the frames looked at; label some frames:"
+            " `bendtrack new`"
+        )
+    if sound < 100 * LEAST_SEEN:
+        raise VideoError(
+            f"expected an actuator that is held at one end, got one there in {sound:.0f} % of the frames looked at;"
+            " label some frames: `bendtrack new`"
+        )
+    return found.xy[found.sound]
+
+
+def _fitting_region(xy: FloatArray, frame_wh: tuple[int, int]) -> WorkingRegion:
+    """Where bodies found at (N, K, 2) px can be, at the scales at which pretraining showed bodies."""
+    region = find_region(xy, frame_wh, WIDE_PATCH_SHARE)
+    fits = BODY_SIDE / max(body_length_px(xy), 1.0), FIRST_SIDES[-1] / max(region.width, region.height)
+    return replace(region, locator_scale=min(1.0, *fits))
+
+
+def _fixed_end(xy: FloatArray) -> FloatArray:
+    """Where the end is that does not move; the network's first one where neither is clearly at rest.
+
+    The network may take one end for the other in any of the frames: a place is at rest when in most of them either end
+    lies there.
+    """
+    ends = xy[:, [0, -1]]
+    # From each end in each frame to the nearer end in every frame: (N, 2, N).
+    away = np.linalg.norm(ends[:, :, None, None] - ends, axis=-1).min(axis=3)
+    moved = np.median(away, axis=2)
+    best = moved.argmin(axis=0)
+    end = 1 if moved[best[1], 1] < STILL_SHARE * moved[best[0], 0] else 0
+    fixed_xy: FloatArray = ends[best[end], end]
+    return fixed_xy

@@ -1,0 +1,75 @@
+"""A training that starts from another network of ours: both its networks, and its heads for keypoints that it knows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from ...tracker.errors import CheckpointError
+from ..cascade import Cascade
+from ..checkpoint import Checkpoint, load_checkpoint
+from ..shipped import shipped_network
+from .initialisation import WORDS
+
+ENDS = ("base_1", "base_2", "tip_1", "tip_2")
+"""What the first two and the last two keypoints of a chain are, where no name says it."""
+
+
+def parent_of(start: str, backbone: str) -> Checkpoint | None:
+    """The network that a training's start names; None where it names something else, or one with other layers.
+
+    Raises
+    ------
+    WeightsError
+        The start is "actuator", and no such network comes with this backbone.
+    """
+    if start == "actuator":
+        return load_checkpoint(shipped_network(backbone))
+    if start in WORDS:  # whatever lies under such a name
+        return None
+    try:
+        parent = load_checkpoint(Path(start))
+    except CheckpointError:
+        return None
+    return parent if parent.backbone == backbone else None
+
+
+def inherit(network: Cascade, keypoints: Sequence[str], parent: Checkpoint) -> dict[str, str]:
+    """Put a parent's weights into a network with keypoints of its own.
+
+    Returns
+    -------
+    The parent's keypoint for each of ours whose head was taken over; the other heads stay as they are.
+    """
+    taken = counterparts(keypoints, parent.keypoints)
+    to = [row for name in taken for row in _rows(keypoints, name)]
+    source = [row for name in taken.values() for row in _rows(parent.keypoints, name)]
+    for own, other in ((network.locator, parent.network.locator), (network.refiner, parent.network.refiner)):
+        state = own.state_dict()
+        for name, value in other.state_dict().items():
+            if name.startswith("head."):
+                state[name][to] = value[source]
+            else:
+                state[name] = value
+        own.load_state_dict(state)
+    return taken
+
+
+def counterparts(keypoints: Sequence[str], known: Sequence[str]) -> dict[str, str]:
+    """For each keypoint the known one that it is: by name, or where no name is known, by its place in the chain.
+
+    >>> counterparts(["root", "neck", "wrist", "nail"], ["base_1", "base_2", "mid_1", "tip_1", "tip_2"])
+    {'root': 'base_1', 'neck': 'base_2', 'wrist': 'tip_1', 'nail': 'tip_2'}
+    >>> counterparts(["tip_2", "ear"], ["tip_1", "tip_2"])
+    {'tip_2': 'tip_2'}
+    """
+    named = {name: name for name in keypoints if name in known}
+    if named or len(keypoints) < len(ENDS) or not set(ENDS) <= set(known):
+        return named
+    return dict(zip((*keypoints[:2], *keypoints[-2:]), ENDS, strict=True))
+
+
+def _rows(keypoints: Sequence[str], name: str) -> list[int]:
+    """Rows of a head that belong to a keypoint: its heat, its two offsets, the three of its spread (`network.Maps`)."""
+    k, i = len(keypoints), list(keypoints).index(name)
+    return [i, *(k + 2 * i + j for j in range(2)), *(3 * k + 3 * i + j for j in range(3))]

@@ -1,0 +1,87 @@
+"""One network while it learns: its weights, their running average, which is what counts in the end, its optimiser."""
+
+from __future__ import annotations
+
+import copy
+
+import torch
+from torch import Tensor
+
+from ...tracker.errors import TrainingError
+from ..heatmaps import cell_loss, heatmap_loss
+from ..network import HeatmapNetwork
+from .dataset import Batch
+
+SPREAD_WEIGHT = 0.1
+"""The spread head only describes; it must not steer the features."""
+
+LARGEST_GRADIENT = 5.0
+"""Norm that a step's gradient is cut to: one strange batch must not throw the weights about."""
+
+
+class Learner:
+    """Network, average and optimiser, a step at a time.
+
+    Parameters
+    ----------
+    network : with the weights to start from, on the device to train on
+    average : how much of the averaged weights is kept each step
+    weight_decay : AdamW's
+    cell_weight : of `heatmaps.cell_loss`
+    """
+
+    def __init__(
+        self, network: HeatmapNetwork, *, average: float, weight_decay: float, cell_weight: float = 0.0
+    ) -> None:
+        self.network = network
+        self.average = copy.deepcopy(network).requires_grad_(False)
+        self.optimizer = torch.optim.AdamW(network.parameters(), weight_decay=weight_decay)
+        self._keep = average
+        self._cell_weight = cell_weight
+
+    def learn(self, batch: Batch, step: int, learning_rate: float) -> float:
+        """Take step number `step`, from 0; returns the loss before it.
+
+        Raises
+        ------
+        TrainingError
+            The loss or its gradient is not finite.
+        """
+        self.network.train()
+        for group in self.optimizer.param_groups:
+            group["lr"] = learning_rate
+        self.optimizer.zero_grad(set_to_none=True)
+        loss = self._loss(batch)
+        if not torch.isfinite(loss):
+            raise TrainingError(
+                f"training: expected a finite loss, got {loss.item()} at step {step};"
+                " check the labels, or train with a lower learning rate or another seed"
+            )
+        loss.backward()
+        norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), LARGEST_GRADIENT)
+        if not torch.isfinite(norm):
+            raise TrainingError(
+                f"training: expected finite gradients, got {norm.item()} at step {step};"
+                " train with a lower learning rate or another seed"
+            )
+        self.optimizer.step()
+        # A short memory at first, so that the average does not carry the random start along.
+        keep = min(self._keep, (step + 1) / (step + 10))
+        for mean, value in zip(
+            self.average.state_dict().values(), self.network.state_dict().values(), strict=True
+        ):
+            if mean.dtype.is_floating_point:
+                mean.lerp_(value, 1 - keep)
+            else:
+                mean.copy_(value)
+        return float(loss.detach())
+
+    def _loss(self, batch: Batch) -> Tensor:
+        device = self.network.mean.device
+        images, xy, known, present = (
+            torch.from_numpy(part).to(device) for part in (batch.images, batch.xy, batch.known, batch.present)
+        )
+        maps = self.network(images)
+        losses = heatmap_loss(maps, xy, known, present)
+        loss = losses["heat"] + losses["offset"] + SPREAD_WEIGHT * losses["spread"]
+        return loss + self._cell_weight * cell_loss(maps, xy, known, present) if self._cell_weight else loss

@@ -1,0 +1,296 @@
+"""Pretraining: both networks learn the canonical points of actuators in general, from rendered ones without end.
+
+Runs for hours beside other work, can be stopped at any time and goes on where it was. The result is a checkpoint like
+any other: a start for `training.py`, and what finds an actuator that nobody has labelled. Pictures come from
+`rendered.py`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import multiprocessing
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+
+from ...tracker.angle import AngleDefinition
+from ...tracker.errors import TrainingError
+from ...tracker.synthetic.stream import KEYPOINTS, Sample
+from ...tracker.types import Detections, FloatArray
+from ..cascade import Cascade
+from ..checkpoint import Checkpoint, best_device
+from ..finding.calibration import Calibration, spread_scale, usual_peaks
+from ..finding.finder import joined
+from ..finding.regions import WorkingRegion
+from .dataset import Batch, PreparedFrame
+from .inheritance import ENDS
+from .pair import Pair
+from .pretraining_figure import write_curve
+from .rendered import LOCATOR_INPUT, PARTNER, PICTURE_WH, rendered_batches, rendered_samples
+from .schedule import Schedule
+from .settings import check_counts, check_start
+from .training import Progress
+from .training_state import STATE_FILE, TrainingState, load_state, save_state, write_rows
+
+EVALUATE_EVERY = 250
+"""Steps between looks at pictures that are not trained on; each is also where the state is saved."""
+
+FOUND_SHARE = 0.05
+"""A keypoint counts as found within so much of the body's length."""
+
+
+@dataclass(frozen=True)
+class PretrainingSettings:
+    """Settings of a pretraining; they travel with the checkpoint.
+
+    Attributes
+    ----------
+    backbone : a key of `network.BACKBONES`
+    steps : training steps; a pretraining that is resumed may be given more
+    pictures : new pictures in a step
+    crops : of each picture, for the locator; a picture takes as long to draw as two crops to learn from
+    patches : of each picture, for the refiner
+    judged : pictures that are not trained on, to judge by
+    learning_rate, weight_decay : AdamW's
+    decay_share : share of the steps in which the learning rate falls to zero
+    cell_weight : `Learner`'s
+    average : how much of the averaged weights is kept each step
+    seed : everything random follows from it; pictures that judge are drawn with the next one
+    """
+
+    backbone: str = "resnet18"
+    steps: int = 30_000
+    pictures: int = 16
+    crops: int = 2
+    patches: int = 4
+    judged: int = 128
+    learning_rate: float = 2e-3
+    weight_decay: float = 1e-2
+    decay_share: float = 0.4
+    cell_weight: float = 1.0
+    average: float = 0.998
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_start(self.backbone, self.seed)
+        check_counts(steps=self.steps, pictures=self.pictures, crops=self.crops)
+        check_counts(patches=self.patches, judged=self.judged)
+
+    @property
+    def identity(self) -> str:
+        """Hash of what a resumed pretraining must have in common with the stopped one: all but its length."""
+        settings = {k: v for k, v in asdict(self).items() if k not in ("steps", "decay_share", "judged")}
+        return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
+
+
+def pretrain(
+    folder: Path,
+    settings: PretrainingSettings | None = None,
+    *,
+    resume: bool = False,
+    stop_after_s: float | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> Checkpoint:
+    """Pretrain a cascade on rendered actuators and save it in `folder`.
+
+    Parameters
+    ----------
+    folder : receives weights.safetensors, checkpoint.json, training.csv, learning-curve.png and, as long as steps are
+        left, the state
+    resume : go on from the state in `folder`
+    stop_after_s : stop then, in the middle of the schedule; what is there is saved, and so is the state
+
+    Returns
+    -------
+    Checkpoint
+        The averaged network; its keypoints are `stream.KEYPOINTS`. In the file it is in float16.
+
+    Raises
+    ------
+    TrainingError
+        The loss is not finite, or there is nothing fitting to resume.
+    """
+    pretrainer = _Pretrainer(Path(folder), settings or PretrainingSettings())
+    if resume:
+        pretrainer.restore()
+    pretrainer.run(stop_after_s, progress)
+    checkpoint = pretrainer.finish()
+    checkpoint.save(Path(folder), half=True)
+    write_curve(pretrainer.rows, Path(folder))
+    if pretrainer.step == pretrainer.schedule.total:
+        pretrainer.state_file.unlink(missing_ok=True)
+    return checkpoint
+
+
+class _Pretrainer:
+    """The state of one pretraining and the steps that change it."""
+
+    def __init__(self, folder: Path, settings: PretrainingSettings) -> None:
+        self.folder, self.settings = folder, settings
+        self.state_file = folder / STATE_FILE
+        torch.manual_seed(settings.seed)
+        network = Cascade(settings.backbone, len(KEYPOINTS)).to(best_device())
+        self.pair = Pair(
+            network,
+            average=settings.average,
+            weight_decay=settings.weight_decay,
+            cell_weight=settings.cell_weight,
+        )
+        self.schedule = Schedule(settings.steps, settings.decay_share, warmup=200)
+        self.step, self.elapsed_s = 0, 0.0
+        self.rows: list[dict[str, float]] = []
+        self.judged = list(rendered_samples(settings.seed + 1, range(settings.judged)))
+
+    def run(self, stop_after_s: float | None, progress: Callable[[Progress], None] | None) -> None:
+        """Train until the schedule ends, or until it is time to stop."""
+        begun = time.monotonic() - self.elapsed_s
+        stop_s = math.inf if stop_after_s is None else self.elapsed_s + stop_after_s
+        with _drawn(self.settings, self.step) as batches, self.pair:
+            over = self.step >= self.schedule.total
+            while not over:
+                locate, refine = next(batches)
+                rate = self.settings.learning_rate * self.schedule.factor(self.step)
+                loss = self.pair.learn(locate, [refine], self.step, rate)
+                self.step += 1
+                self.elapsed_s = time.monotonic() - begun
+                over = self.step == self.schedule.total or self.elapsed_s >= stop_s
+                if self.step % EVALUATE_EVERY == 0 or over:
+                    self._evaluate(loss, rate)
+                    self.elapsed_s = time.monotonic() - begun
+                    self.save_state()
+                if progress:
+                    left = self.elapsed_s / self.step * (self.schedule.total - self.step)
+                    px = self.rows[-1]["refined_px"] if self.rows else math.nan
+                    total = self.schedule.total
+                    progress(Progress(self.step, total, loss, px, math.nan, self.elapsed_s, left))
+
+    def _evaluate(self, loss: float, rate: float) -> None:
+        """Judge the averaged networks on pictures that are not trained on, each network by itself."""
+        located, refined = _judge(self.pair.average, self.judged)
+        self.rows.append(
+            {
+                "step": self.step,
+                "elapsed_s": round(self.elapsed_s, 1),
+                "loss": round(loss, 5),
+                "located_share": round(float((located <= FOUND_SHARE).mean()), 4),
+                "located_median": round(float(np.median(located)), 4),
+                "refined_px": round(float(np.median(refined)), 4),
+                "learning_rate": rate,
+            }
+        )
+
+    def finish(self) -> Checkpoint:
+        """The averaged networks as a checkpoint."""
+        network = self.pair.average
+        found, truth = _found(network, self.judged)
+        known = np.logical_not(np.isnan(truth).any(axis=2))
+        peaks = usual_peaks(found.likelihood, known)
+        width, height = PICTURE_WH
+        # Where and at which scales to look is found anew for every video; this is what the networks have seen.
+        region = WorkingRegion(PICTURE_WH, 0, 0, width, height, LOCATOR_INPUT / max(PICTURE_WH), 1.0)
+        return Checkpoint(
+            network=network.cpu().eval(),
+            backbone=self.settings.backbone,
+            keypoints=KEYPOINTS,
+            # Points along the midline are surer of their distance from it than of their place on it.
+            definition=AngleDefinition("two-vector", ENDS),
+            regions=(region,),
+            partner=PARTNER,
+            # The truth is exact: all that is off is the networks'.
+            calibration=Calibration(spread_scale(found, truth, 0.0), 0.0, 1, peaks),
+            training={
+                "settings": asdict(self.settings),
+                "started_from": "random",
+                "steps": self.step,
+                "steps_planned": self.schedule.total,
+                "pictures": self.step * self.settings.pictures,
+                "minutes": round(self.elapsed_s / 60, 2),
+                "judged": self.rows[-1],
+            },
+        )
+
+    def save_state(self) -> None:
+        """Write all that `restore` needs, and training.csv."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        state = TrainingState(
+            identity=self.settings.identity,
+            step=self.step,
+            elapsed_s=self.elapsed_s,
+            schedule=self.schedule,
+            rows=self.rows,
+            best=None,
+            best_step=0,
+            targets=np.empty((0, len(KEYPOINTS), 2)),
+            start="random",
+        )
+        save_state(self.state_file, state, self.pair.learners)
+        write_rows(self.folder, self.rows)
+
+    def restore(self) -> None:
+        """Go back to where a stopped pretraining last saved its state."""
+        if not self.state_file.is_file():
+            raise TrainingError(f"--resume: expected an unfinished pretraining in {self.folder}, got none")
+        state = load_state(self.state_file, self.pair.learners, self.settings.identity)
+        self.step, self.elapsed_s, self.rows = state.step, state.elapsed_s, state.rows
+
+
+@contextmanager
+def _drawn(settings: PretrainingSettings, first: int) -> Iterator[Iterator[tuple[Batch, Batch]]]:
+    """The batches of every step from `first` on, drawn ahead in a process of their own."""
+
+    per_step = settings.pictures, settings.crops, settings.patches
+
+    def ask(step: int) -> Any:
+        return pool.submit(rendered_batches, settings.seed, step, *per_step)
+
+    def batches() -> Iterator[tuple[Batch, Batch]]:
+        ahead = [ask(first), ask(first + 1)]
+        step = first + 2
+        while True:
+            drawn = ahead.pop(0).result()
+            ahead.append(ask(step))
+            step += 1
+            yield drawn
+
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(
+        max_workers=1, mp_context=context, initializer=cv2.setNumThreads, initargs=(1,)
+    )
+    try:
+        yield batches()
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _judge(network: Cascade, judged: list[tuple[Sample, PreparedFrame]]) -> tuple[FloatArray, FloatArray]:
+    """Distances of visible keypoints from the truth: located, over the body's length; refined, px of the picture."""
+    finder = network.finder()
+    located, refined = [], []
+    for sample, frame in judged:
+        picture, truth = sample.picture[None], frame.xy[None]
+        seen = sample.visible
+        xy, _ = finder.located(picture, frame.region)
+        length = np.linalg.norm(np.diff(frame.xy, axis=0), axis=1).sum()
+        located.append(np.linalg.norm(xy - truth, axis=2)[0, seen] / length)
+        # The refiner by itself: from where the keypoints are.
+        found = finder.refined(picture, truth, frame.region, PARTNER)
+        refined.append(np.linalg.norm(found.xy - truth, axis=2)[0, seen])
+    return np.concatenate(located), np.concatenate(refined)
+
+
+def _found(network: Cascade, judged: list[tuple[Sample, PreparedFrame]]) -> tuple[Detections, FloatArray]:
+    """What both networks together find in pictures, and the truth (N, K, 2), NaN where it cannot be seen."""
+    finder = network.finder()
+    found = joined([finder.detect(sample.picture[None], frame.region, PARTNER) for sample, frame in judged])
+    truth = np.stack([np.where(sample.visible[:, None], frame.xy, np.nan) for sample, frame in judged])
+    return found, truth

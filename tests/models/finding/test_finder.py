@@ -1,0 +1,161 @@
+"""Finder and Follower with networks whose answer is known: where they look, what they believe, when they search."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bendtrack.models.finding.calibration import Calibration
+from bendtrack.models.finding.finder import Finder
+from bendtrack.models.finding.following import CHECK_EVERY, Follower
+from bendtrack.models.finding.header import Header
+from bendtrack.models.finding.regions import WorkingRegion
+from bendtrack.tracker.angle import AngleDefinition
+from bendtrack.tracker.types import Detections
+
+SIZE_WH = (320, 240)
+REGION = WorkingRegion(SIZE_WH, 0, 0, *SIZE_WH, 0.5, 1.5)
+COLOURS = np.array([[250, 0, 0], [0, 250, 0], [0, 0, 250]])
+BACKGROUND = 60
+
+
+def picture(xy: np.ndarray) -> np.ndarray:
+    """A frame with a soft coloured spot at each of three points (3, 2)."""
+    x, y = np.meshgrid(np.arange(SIZE_WH[0]), np.arange(SIZE_WH[1]))
+    image = np.full((SIZE_WH[1], SIZE_WH[0], 3), BACKGROUND, float)
+    for (px, py), colour in zip(xy, COLOURS, strict=True):
+        spot = np.exp(-((x - px) ** 2 + (y - py) ** 2) / (2 * 4.0**2))
+        image += spot[..., None] * (colour - BACKGROUND)
+    return np.clip(image.round(), 0, 255).astype(np.uint8)
+
+
+class FindsSpots:
+    """A reader that gives the centre of gravity of each colour, and counts the pictures it was shown."""
+
+    covariance = np.diag([4.0, 1.0])
+
+    def __init__(self) -> None:
+        self.shown = 0
+
+    def __call__(self, pictures: np.ndarray) -> Detections:
+        self.shown += len(pictures)
+        n, _, h, w = pictures.shape
+        x, y = np.meshgrid(np.arange(w), np.arange(h))
+        values = pictures.astype(float)
+        xy, likelihood = np.zeros((n, 3, 2)), np.zeros((n, 3))
+        for k in range(3):
+            others = [c for c in range(3) if c != k]
+            weight = np.clip(values[:, k] - values[:, others].max(axis=1) - 30, 0, None)
+            total = weight.sum(axis=(1, 2)) + 1e-9
+            xy[:, k] = np.stack([(weight * x).sum((1, 2)), (weight * y).sum((1, 2))], axis=1) / total[:, None]
+            likelihood[:, k] = np.where(weight.max(axis=(1, 2)) > 40, 0.8, 0.01)
+        return Detections(xy, likelihood, np.broadcast_to(self.covariance, (n, 3, 2, 2)).copy())
+
+
+@pytest.fixture
+def finder() -> Finder:
+    return Finder(FindsSpots(), FindsSpots())
+
+
+@pytest.fixture
+def header() -> Header:
+    keypoints = ("base", "middle", "tip")
+    return Header(
+        backbone="resnet18",
+        keypoints=keypoints,
+        definition=AngleDefinition("three-point", keypoints),
+        regions=(REGION,),
+        partner=(1, 2, 1),
+        calibration=Calibration(usual_peak=(0.8, 0.8, 0.8)),
+    )
+
+
+def arms(angles_deg: np.ndarray) -> np.ndarray:
+    """Positions (T, 3, 2) of a base that rests and an arm that turns about it."""
+    turn = np.deg2rad(angles_deg)
+    along = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    base = np.broadcast_to([150.0, 110.0], (len(turn), 2))
+    return np.stack([base, base + 50 * along, base + 95 * along], axis=1)
+
+
+def test_positions_come_back_through_every_view(finder: Finder, header: Header) -> None:
+    truth = arms(np.linspace(0, 330, 12))
+    found = finder.detect(np.stack([picture(xy) for xy in truth]), REGION, header.partner)
+    np.testing.assert_allclose(found.xy, truth, atol=0.1)
+
+
+def test_covariances_turn_and_shrink_with_the_patch(finder: Finder, header: Header) -> None:
+    # The tip's patch is turned by 90 degrees here and magnified 1.5 times: its x is the frame's y.
+    found = finder.refined(
+        picture(arms(np.array([90.0]))[0])[None], arms(np.array([90.0])), REGION, header.partner
+    )
+    np.testing.assert_allclose(found.covariance[0, 2], np.diag([1.0, 4.0]) / 1.5**2, atol=0.02)
+
+
+def test_a_video_is_followed_and_seldom_searched(finder: Finder, header: Header) -> None:
+    truth = arms(np.concatenate([np.linspace(0, 120, 61), np.linspace(118, 0, 59)]))
+    follower = Follower(finder, header)
+    frames = [picture(xy) for xy in truth]
+    found = np.concatenate([follower.detect(frames[i : i + 4]).xy for i in range(0, len(frames), 4)])
+    np.testing.assert_allclose(found, truth, atol=0.15)
+    assert finder.locate.shown <= 2 + len(frames) / CHECK_EVERY + 2
+
+
+def test_a_jump_is_found_by_searching_again(finder: Finder, header: Header) -> None:
+    truth = np.concatenate([arms(np.linspace(0, 10, 6)), arms(np.linspace(150, 160, 6))])
+    found = Follower(finder, header).detect([picture(xy) for xy in truth])
+    np.testing.assert_allclose(found.xy, truth, atol=0.15)
+
+
+def test_what_is_hidden_is_unlikely_and_found_again(finder: Finder, header: Header) -> None:
+    truth = arms(np.linspace(0, 40, 21))
+    frames = [picture(xy) for xy in truth]
+    for i in range(8, 12):
+        frames[i][:] = BACKGROUND
+    found = Follower(finder, header).detect(frames)
+    assert (found.likelihood[8:12] < 0.1).all()
+    np.testing.assert_allclose(found.xy[12:], truth[12:], atol=0.15)
+    assert (found.likelihood[12:] > 0.9).all()
+
+
+def test_a_false_track_ends_with_the_next_search(finder: Finder, header: Header) -> None:
+    rest = arms(np.array([20.0]))[0]
+    false = rest + np.array([0.0, 90.0])
+
+    class FindsFirstTheFalse(FindsSpots):
+        def __call__(self, pictures: np.ndarray) -> Detections:
+            found = super().__call__(pictures)
+            if self.shown <= 1:
+                # As a locator that is taken in by something else in the first frame.
+                return Detections(
+                    np.broadcast_to(false * 0.5 - 0.25, found.xy.shape), found.likelihood, found.covariance
+                )
+            return found
+
+    class BelievesAnything(FindsSpots):
+        def __call__(self, pictures: np.ndarray) -> Detections:
+            found = super().__call__(pictures)
+            lost = found.likelihood < 0.1
+            xy = np.where(lost[..., None], 31.5, found.xy)
+            return Detections(xy, np.where(lost, 0.5, 0.8), found.covariance)
+
+    follower = Follower(Finder(FindsFirstTheFalse(), BelievesAnything()), header)
+    found = follower.detect([picture(rest)] * (CHECK_EVERY + 10))
+    assert np.abs(found.xy[:10] - rest).max() > 50
+    np.testing.assert_allclose(found.xy[-5:], np.broadcast_to(rest, (5, 3, 2)), atol=0.15)
+
+
+def test_frames_that_are_passed_over_are_reckoned_with(finder: Finder, header: Header) -> None:
+    """Keypoints go on in their own pace meanwhile, so one look is enough where they must be by now."""
+    frames = [picture(xy) for xy in arms(2.5 * np.arange(13))]
+    looks = {}
+    for told in (True, False):
+        follower = Follower(finder, header)
+        follower.detect(frames[:6])
+        before = finder.refine.shown
+        if told:
+            follower.pass_over(4)
+        found = [follower.detect([frames[i]]).xy[0] for i in (10, 11, 12)]
+        np.testing.assert_allclose(found, arms(2.5 * np.array([10, 11, 12])), atol=0.15)
+        looks[told] = (finder.refine.shown - before) // 3
+    assert looks[True] < looks[False]

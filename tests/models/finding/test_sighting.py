@@ -1,0 +1,166 @@
+"""Which end is fixed and where to look, from what a network finds in single frames, wrong ends included."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bendtrack.models.finding.assembly import assembled
+from bendtrack.models.finding.calibration import Calibration
+from bendtrack.models.finding.finder import Finder
+from bendtrack.models.finding.header import Header
+from bendtrack.models.finding.regions import WorkingRegion
+from bendtrack.models.finding.sighting import oriented, sight
+from bendtrack.tracker.angle import AngleDefinition, bending_angle
+from bendtrack.tracker.errors import VideoError
+from bendtrack.tracker.types import Detections
+
+KEYPOINTS = ("base_1", "base_2", "tip_1", "tip_2")
+SIZE_WH = (640, 480)
+HEADER = Header(
+    backbone="resnet18",
+    keypoints=KEYPOINTS,
+    definition=AngleDefinition("two-vector", KEYPOINTS),
+    regions=(WorkingRegion((256, 256), 0, 0, 256, 256, 0.5, 1.0),),
+    partner=(1, 0, 3, 2),
+    calibration=Calibration(usual_peak=(0.6,) * 4),
+)
+
+
+def body(angle_deg: float) -> np.ndarray:
+    """Four points (4, 2) px of an arm held at (300, 200)."""
+    turn = np.radians(angle_deg)
+    base = np.array([[300.0, 200.0], [330.0, 200.0]])
+    tip = base[1] + 80 * np.array([np.cos(turn / 2), np.sin(turn / 2)])
+    return np.stack([*base, tip, tip + 30 * np.array([np.cos(turn), np.sin(turn)])])
+
+
+class Oracle(Finder):
+    """Finds what it was told; pictures are numbered by their first pixel."""
+
+    def __init__(self, xy: np.ndarray, peak: np.ndarray, noise_px: float = 1.0) -> None:
+        super().__init__(self, self)
+        object.__setattr__(self, "xy", xy + np.random.default_rng(0).normal(0, noise_px, xy.shape))
+        object.__setattr__(self, "peak", peak)
+
+    def offered(self, frames, region):
+        chosen = [int(frame[0, 0, 0]) for frame in frames]
+        return self.xy[chosen].copy()[:, :, None], self.peak[chosen].copy()[:, :, None]
+
+    def refined(self, frames, xy, region, partner):
+        n, k = xy.shape[:2]
+        return Detections(xy.copy(), np.ones((n, k)), np.zeros((n, k, 2, 2)))
+
+
+def glimpses(n: int) -> np.ndarray:
+    pictures = np.zeros((n, SIZE_WH[1], SIZE_WH[0], 3), np.uint8)
+    pictures[:, 0, 0, 0] = np.arange(n)
+    return pictures
+
+
+def arms(sign: float = 1.0) -> np.ndarray:
+    return np.stack([body(sign * angle) for angle in np.linspace(0, 120, 30)])
+
+
+def test_the_end_that_rests_is_the_fixed_one() -> None:
+    seen = sight(glimpses(30), HEADER, Oracle(arms(), np.full((30, 4), 0.6)))
+    assert seen.header.definition.sign == 1
+    np.testing.assert_allclose(seen.finder.fixed_xy, (300, 200), atol=3)
+    assert seen.seen == 1.0
+
+
+@pytest.mark.parametrize("turned", [0.3, 0.7, 1.0])
+def test_frames_found_the_wrong_way_round_do_not_matter(turned: float) -> None:
+    """Neither for where the fixed end is, nor for what is found later."""
+    truth = arms(-1)
+    wrong = np.random.default_rng(1).random(30) < turned
+    xy = np.where(wrong[:, None, None], truth[:, ::-1], truth)
+    seen = sight(glimpses(30), HEADER, Oracle(xy, np.full((30, 4), 0.6)))
+    np.testing.assert_allclose(seen.finder.fixed_xy, (300, 200), atol=3)
+    found, _ = oriented(xy, np.ones((30, 4)), seen.finder.fixed_xy)
+    np.testing.assert_array_equal(found, truth)
+    # Positive is the way it bends, whichever that is on the screen.
+    angle_deg, _, _ = bending_angle(truth, KEYPOINTS, seen.header.definition)
+    np.testing.assert_allclose(angle_deg, np.linspace(0, 120, 30), atol=1e-6)
+
+
+def test_a_place_that_fits_the_others_is_taken_before_a_higher_peak() -> None:
+    truth = arms()
+
+    class Attracted(Oracle):
+        """Takes the clamp for the moving end in most frames, and offers what is right second."""
+
+        def offered(self, frames, region):
+            xy, peak = super().offered(frames, region)
+            wrong = xy.copy()
+            wrong[::3, 2:] = xy[::3, :2]
+            return np.concatenate([wrong, xy], axis=2), np.concatenate([peak, 0.5 * peak], axis=2)
+
+    finder = Attracted(truth, np.full((30, 4), 0.6), noise_px=0.0)
+    seen = sight(glimpses(30), HEADER, finder)
+    assert seen.seen == 1.0
+    places, peak = finder.offered(glimpses(30), HEADER.regions[0])
+    found, _ = assembled(places, peak, seen.finder.fixed_xy, seen.finder.body_px)
+    np.testing.assert_array_equal(found, truth)
+
+
+def test_what_does_not_move_is_taken_as_the_network_says() -> None:
+    still = np.repeat(body(40)[None], 30, axis=0)
+    seen = sight(glimpses(30), HEADER, Oracle(still, np.full((30, 4), 0.6)))
+    np.testing.assert_allclose(seen.finder.fixed_xy, still[0, 0], atol=3)
+
+
+def test_the_region_holds_every_pose_that_was_clearly_seen() -> None:
+    xy, peak = arms(), np.full((30, 4), 0.6)
+    xy[::3], peak[::3] = 20.0, 0.05  # a hand in the way: somewhere else, and hardly seen
+    seen = sight(glimpses(30), HEADER, Oracle(xy, peak))
+    region = seen.header.region_for(SIZE_WH)
+    points = xy[1::3].reshape(-1, 2)
+    corner = region.left, region.top
+    assert (points >= corner).all()
+    assert (points <= np.add(corner, (region.width, region.height))).all()
+    assert region.left > 100
+    assert seen.seen == pytest.approx(2 / 3)
+
+
+def test_where_nothing_is_seen_it_is_said() -> None:
+    with pytest.raises(VideoError, match=r"expected an actuator in sight, got one in 0 %"):
+        sight(glimpses(30), HEADER, Oracle(arms(), np.full((30, 4), 0.1)))
+
+
+def test_what_is_seen_somewhere_else_each_time_is_no_actuator() -> None:
+    anywhere = arms() + np.random.default_rng(2).uniform(-200, 200, (30, 1, 2))
+    with pytest.raises(
+        VideoError, match=r"expected an actuator that is held at one end, got one there in \d+ %"
+    ):
+        sight(glimpses(30), HEADER, Oracle(anywhere, np.full((30, 4), 0.6)))
+
+
+def test_glimpses_that_disagree_with_the_others_do_not_count() -> None:
+    xy = arms()
+    xy[::5] += 150.0  # clearly seen, and elsewhere: a shadow taken for the body
+    seen = sight(glimpses(30), HEADER, Oracle(xy, np.full((30, 4), 0.6)))
+    np.testing.assert_allclose(seen.finder.fixed_xy, (300, 200), atol=3)
+    assert seen.seen == pytest.approx(0.8)
+    region = seen.header.region_for(SIZE_WH)
+    assert region.left + region.width < xy[::5, :, 0].max()
+
+
+def test_ends_that_change_their_length_are_not_those_of_one_actuator() -> None:
+    xy = arms()
+    xy[:13, 3] = xy[:13, 2] + 2.5 * (xy[:13, 3] - xy[:13, 2])
+    with pytest.raises(
+        VideoError, match="expected an actuator whose ends keep their lengths, got one in 57 %"
+    ):
+        sight(glimpses(30), HEADER, Oracle(xy, np.full((30, 4), 0.6)))
+
+
+def test_nothing_is_believed_of_a_frame_with_another_shape() -> None:
+    truth = arms()
+    seen = sight(glimpses(30), HEADER, Oracle(truth, np.full((30, 4), 0.6)))
+    np.testing.assert_allclose(seen.ends_px, 30, atol=2)
+    strange = truth[[5, 6, 7]].copy()
+    strange[1, 3] = strange[1, 2]  # both points of the tip at one place
+    strange[2] += 60  # not where it is held
+    found = seen.doubted(Detections(strange, np.full((3, 4), 0.9), np.zeros((3, 4, 2, 2))))
+    assert found.likelihood.min(axis=1).tolist() == [0.9, 0.0, 0.0]

@@ -1,0 +1,134 @@
+"""Pretraining on rendered actuators: what is taught, that it goes on after a stop, and what comes of it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from bendtrack.models.checkpoint import load_checkpoint
+from bendtrack.models.engine import build_beside
+from bendtrack.models.finding.regions import patch_directions
+from bendtrack.models.learning.pretraining import PretrainingSettings, pretrain
+from bendtrack.models.learning.rendered import PARTNER, prepared_sample, rendered_batches
+from bendtrack.models.learning.training_state import STATE_FILE
+from bendtrack.tracker.angle import bending_angle
+from bendtrack.tracker.errors import TrainingError
+from bendtrack.tracker.synthetic.stream import KEYPOINTS, draw
+
+TINY = PretrainingSettings(steps=4, pictures=2, patches=2, judged=2)
+
+
+def test_a_sample_is_a_frame_whose_hidden_points_are_known_to_be() -> None:
+    for index in range(200):
+        sample = draw(3, index)
+        if not sample.visible.all():
+            break
+    frame = prepared_sample(sample, np.random.default_rng(0))
+    np.testing.assert_array_equal(frame.in_sight, sample.visible)
+    np.testing.assert_array_equal(frame.xy, sample.keypoints_xy)
+    assert not frame.in_sight.all()
+
+
+def test_batches_show_where_the_points_are() -> None:
+    locate, refine = rendered_batches(5, 2, 6, 2, 3)
+    assert locate.images.shape == (12, 3, 96, 96)
+    assert refine.images.shape == (18, 3, 64, 64)
+    assert locate.known.all()
+    assert refine.known.all()
+    # A patch is cut around a keypoint, so one of them is near its middle, and its partner gives the direction.
+    distance = np.linalg.norm(refine.xy - 31.5, axis=2)
+    nearest = distance.argmin(axis=1)
+    assert distance.min(axis=1).max() < 24
+    turn = np.degrees([patch_directions(xy, PARTNER)[k] for xy, k in zip(refine.xy, nearest, strict=True)])
+    assert np.median(np.abs(turn)) < 20
+    again = rendered_batches(5, 2, 6, 2, 3)
+    np.testing.assert_array_equal(again[0].images, locate.images)
+    other = rendered_batches(5, 3, 6, 2, 3)
+    assert (other[0].images != locate.images).any()
+
+
+def test_partners_are_neighbours() -> None:
+    assert [KEYPOINTS[i] for i in PARTNER] == [
+        "base_2", "base_1", "mid_2", "mid_1", "mid_4", "mid_3", "mid_4", "tip_2", "tip_1",
+    ]  # fmt: skip
+
+
+@pytest.mark.slow
+def test_both_networks_learn(tmp_path: Path) -> None:
+    seen = []
+    settings = PretrainingSettings(steps=120, pictures=6, patches=3, judged=24, average=0.9)
+    first = pretrain(tmp_path / "first", replace(settings, steps=1)).training["judged"]
+    last = pretrain(tmp_path / "last", settings, progress=seen.append).training["judged"]
+    assert len(seen) == 120
+    assert np.mean([p.loss for p in seen[-20:]]) < 0.8 * np.mean([p.loss for p in seen[:20]])
+    # A minute is enough to see that they do, on pictures they were not taught with.
+    assert last["located_median"] < 0.9 * first["located_median"]
+    assert last["refined_px"] < 0.9 * first["refined_px"]
+
+
+def test_stopped_and_resumed_is_the_same_to_the_bit(tmp_path: Path) -> None:
+    whole = pretrain(tmp_path / "whole", TINY)
+    stopped = pretrain(tmp_path / "parts", TINY, stop_after_s=0.0)
+    assert 0 < stopped.training["steps"] < TINY.steps
+    assert (tmp_path / "parts" / STATE_FILE).is_file()
+    resumed = pretrain(tmp_path / "parts", TINY, resume=True)
+    assert not (tmp_path / "parts" / STATE_FILE).is_file()
+    assert resumed.training["steps"] == TINY.steps
+    for name, value in whole.network.state_dict().items():
+        assert torch.equal(value, resumed.network.state_dict()[name]), name
+    rows = (tmp_path / "parts" / "training.csv").read_text().splitlines()
+    assert [row.split(",")[0] for row in rows] == ["step", str(stopped.training["steps"]), "4"]
+
+
+def test_what_comes_of_it_is_a_network_like_any_other(tmp_path: Path) -> None:
+    pretrain(tmp_path, TINY)
+    checkpoint = load_checkpoint(tmp_path)
+    assert checkpoint.keypoints == KEYPOINTS
+    found = checkpoint.detect(draw(9, 0).picture[None])
+    angle_deg, sd_deg, _ = bending_angle(found.xy, KEYPOINTS, checkpoint.definition, found.covariance)
+    assert np.isfinite([angle_deg[0], sd_deg[0]]).all()
+    assert (tmp_path / "learning-curve.png").stat().st_size > 5000
+    assert json.loads((tmp_path / "checkpoint.json").read_text())["training"]["settings"]["seed"] == 0
+
+
+def test_it_is_compiled_with_rendered_pictures(tmp_path: Path) -> None:
+    pretrain(tmp_path, TINY)
+    record = build_beside(tmp_path)
+    assert (record["frames_fitted"], record["frames_judged"]) == (16, 16)
+    assert set(record["engines"]) == {"openvino", "openvino-int8"}
+
+
+def test_only_what_was_begun_alike_goes_on(tmp_path: Path) -> None:
+    with pytest.raises(TrainingError, match="expected an unfinished pretraining"):
+        pretrain(tmp_path, TINY, resume=True)
+    pretrain(tmp_path, TINY, stop_after_s=0.0)
+    with pytest.raises(TrainingError, match="expected the settings"):
+        pretrain(tmp_path, replace(TINY, seed=1), resume=True)
+    longer = pretrain(tmp_path, replace(TINY, steps=5), resume=True)
+    assert longer.training["steps"] == 5
+
+
+@pytest.mark.parametrize("wrong", [{"steps": 0}, {"pictures": 0}, {"backbone": "resnet9"}, {"seed": -1}])
+def test_settings_that_mean_nothing_are_refused(wrong: dict) -> None:
+    with pytest.raises(TrainingError, match="expected"):
+        PretrainingSettings(**wrong)
+
+
+@pytest.mark.slow
+def test_the_command_stops_and_goes_on(bendtrack, tmp_path: Path) -> None:
+    out = tmp_path / "actuators"
+    ran = bendtrack("pretrain", out, "--steps", "2", "--stop-after", "0")
+    assert (ran.status, ran.err) == (0, "")
+    assert "1 of 2 steps, 16 pictures" in ran.out
+    ran = bendtrack("pretrain", out, "--steps", "2")
+    assert ran.status == 2
+    assert "add --resume" in ran.err
+    assert bendtrack("pretrain", out, "--steps", "2", "--resume").status == 0
+    ran = bendtrack("pretrain", out)
+    assert ran.status == 2
+    assert "expected a folder without a network" in ran.err

@@ -1,0 +1,260 @@
+"""Training on drawn fingers: it learns, it resumes to the bit after SIGKILL, it stops when it must."""
+
+from __future__ import annotations
+
+import csv
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from safetensors.torch import load_file
+
+from bendtrack.models.checkpoint import load_checkpoint
+from bendtrack.models.detector import NetworkDetector
+from bendtrack.models.evaluation import evaluate, not_trained_on
+from bendtrack.models.learning import training
+from bendtrack.models.learning.consensus import consensus
+from bendtrack.models.learning.held_out import split
+from bendtrack.models.learning.settings import TrainingSettings
+from bendtrack.models.learning.training import Progress, train
+from bendtrack.tracker.angle import AngleDefinition
+from bendtrack.tracker.errors import LabelError, TrainingError
+from bendtrack.tracker.types import LabelledFrame
+
+KEYPOINTS = ("base_1", "base_2", "tip_1", "tip_2")
+MakeFrames = Callable[..., list[LabelledFrame]]
+TINY = TrainingSettings(init="random", steps=6, batch_frames=2)
+
+
+@pytest.mark.slow
+def test_learns_where_the_points_are_and_says_how_sure_it_is(
+    make_frames: MakeFrames, definition: AngleDefinition, tmp_path: Path
+) -> None:
+    frames = make_frames(np.linspace(0, 190, 16), noise_px=0.5)
+    told: list[Progress] = []
+    settings = TrainingSettings(init="random", steps=120, batch_frames=6, held_out=0.15)
+    checkpoint = train(frames, KEYPOINTS, definition, tmp_path / "model", settings, progress=told.append)
+
+    unseen = make_frames(np.linspace(6, 180, 12), start=100)
+    result = evaluate(checkpoint, unseen)
+    assert np.sqrt((result.error_px**2).mean()) < 1.0
+    assert np.sqrt((result.angle_error_deg**2).mean()) < 3.5
+    assert result.found.likelihood.min() > 0.5
+    sd = np.sqrt(np.trace(result.found.covariance, axis1=2, axis2=3) / 2)
+    assert 0.05 < np.median(sd) < 2.0
+
+    # A finger that is not there is not found.
+    blank = np.full((1, 120, 160, 3), 120, np.uint8)
+    assert checkpoint.detect(blank).likelihood.max() < 0.5
+
+    assert [p.step for p in told] == list(range(1, 121))
+    assert told[-1].loss < told[0].loss / 4
+    rows = list(csv.DictReader((tmp_path / "model" / "training.csv").read_text().splitlines()))
+    assert [int(row["step"]) for row in rows] == [50, 100, 120]
+    assert not list((tmp_path / "model").glob("training-state*")), "a finished training leaves no state"
+
+    # The file alone says everything: another object gives the same answer.
+    again = NetworkDetector.load(tmp_path / "model")
+    image = np.repeat(blank, 3, axis=0)
+    np.testing.assert_array_equal(again.detect(image).xy, checkpoint.detect(image).xy)
+    assert len(not_trained_on(load_checkpoint(tmp_path / "model"), [*frames, *unseen])) == 2 + 12
+
+
+def test_the_same_seed_gives_the_same_network_and_another_seed_another(
+    make_frames: MakeFrames, definition: AngleDefinition, tmp_path: Path
+) -> None:
+    frames = make_frames(np.linspace(0, 180, 6))
+    weights = []
+    for index, seed in enumerate((0, 0, 1)):
+        folder = tmp_path / str(index)
+        train(frames, KEYPOINTS, definition, folder, replace(TINY, seed=seed))
+        weights.append(load_file(folder / "weights.safetensors"))
+    same = [all(bool((weights[0][n] == w[n]).all()) for n in w) for w in weights[1:]]
+    assert same == [True, False]
+
+
+KILLED = """
+import sys
+import numpy as np
+import torch
+from pathlib import Path
+from bendtrack.models.learning import training
+from bendtrack.models.learning.settings import TrainingSettings
+from bendtrack.tracker.angle import AngleDefinition
+from bendtrack.tracker.types import LabelledFrame
+
+torch.set_num_threads(1)
+training.EVALUATE_EVERY = 4
+folder, keypoints = Path(sys.argv[1]), sys.argv[2].split(",")
+labels = np.load(folder / "labels.npy")
+frames = [
+    LabelledFrame("finger", folder / f"img{i:05d}.png", xy, "default", i) for i, xy in enumerate(labels)
+]
+training.train(
+    frames, keypoints, AngleDefinition("two-vector", keypoints), folder / sys.argv[3],
+    TrainingSettings(init="random", steps=20, batch_frames=2), resume="--resume" in sys.argv,
+    progress=lambda p: print(p.step, flush=True),
+)
+"""
+
+
+def kill_at_step(command: list[str], step: int) -> None:
+    """Start a training that prints its steps, and kill it when it has done so many."""
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    for line in process.stdout:
+        if int(line) == step:
+            break
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    process.stdout.close()
+
+
+@pytest.mark.slow
+def test_killed_and_resumed_equals_never_killed(make_frames: MakeFrames, tmp_path: Path) -> None:
+    frames = make_frames(np.linspace(0, 180, 8))
+    np.save(tmp_path / "labels.npy", np.stack([frame.xy for frame in frames]))
+    command = [sys.executable, "-c", KILLED, str(tmp_path), ",".join(KEYPOINTS)]
+    subprocess.run([*command, "whole"], check=True, capture_output=True)
+
+    kill_at_step([*command, "killed"], 10)
+    assert not (tmp_path / "killed" / "weights.safetensors").exists()
+    resumed = subprocess.run([*command, "killed", "--resume"], check=True, capture_output=True, text=True)
+    assert resumed.stdout.split()[0] == "9", "goes on from the state saved at step 8"
+
+    first, second = (load_file(tmp_path / n / "weights.safetensors") for n in ("whole", "killed"))
+    assert all(bool((first[name] == second[name]).all()) for name in first)
+
+
+def test_resuming_with_other_labels_or_nothing_to_resume_is_refused(
+    make_frames: MakeFrames, definition: AngleDefinition, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames = make_frames(np.linspace(0, 180, 6))
+    with pytest.raises(TrainingError, match="expected an unfinished training"):
+        train(frames, KEYPOINTS, definition, tmp_path / "model", TINY, resume=True)
+
+    monkeypatch.setattr(training, "EVALUATE_EVERY", 2)
+
+    def interrupt(progress: Progress) -> None:
+        if progress.step == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(frames, KEYPOINTS, definition, tmp_path / "model", TINY, progress=interrupt)
+    moved = [replace(frames[0], xy=frames[0].xy + 1), *frames[1:]]
+    with pytest.raises(TrainingError, match="settings and labels that the training was started with"):
+        train(moved, KEYPOINTS, definition, tmp_path / "model", TINY, resume=True)
+    state = tmp_path / "model" / "training-state.safetensors"
+    state.write_bytes(state.read_bytes()[:500])
+    with pytest.raises(TrainingError, match="damaged"):
+        train(frames, KEYPOINTS, definition, tmp_path / "model", TINY, resume=True)
+
+
+def test_a_loss_that_is_not_finite_stops_the_training(
+    make_frames: MakeFrames, definition: AngleDefinition, tmp_path: Path
+) -> None:
+    frames = make_frames(np.linspace(0, 180, 6))
+    with pytest.raises(TrainingError, match=r"expected (a finite loss|finite gradients), got (nan|inf)"):
+        train(frames, KEYPOINTS, definition, tmp_path, replace(TINY, learning_rate=1e30))
+
+
+def test_a_time_limit_shortens_the_training(
+    make_frames: MakeFrames, definition: AngleDefinition, tmp_path: Path
+) -> None:
+    frames = make_frames(np.linspace(0, 180, 6))
+    checkpoint = train(
+        frames, KEYPOINTS, definition, tmp_path, replace(TINY, steps=100_000, max_minutes=0.05)
+    )
+    assert 10 <= checkpoint.training["steps"] < 100_000
+    assert (tmp_path / "weights.safetensors").is_file()
+
+
+@pytest.mark.parametrize(
+    ("setting", "value"),
+    [
+        ("backbone", "vgg16"),
+        ("steps", 0),
+        ("held_out", 1.0),
+        ("max_minutes", float("inf")),
+        ("max_minutes", 0.0),
+        ("seed", -1),
+        ("batch_frames", 0),
+        ("consensus", 1.5),
+    ],
+)
+def test_a_setting_out_of_range_is_named(setting: str, value: object) -> None:
+    with pytest.raises(TrainingError, match=rf"^{setting}: expected .*, got "):
+        TrainingSettings(**{setting: value})
+
+
+def test_missing_points_train_and_a_point_that_nobody_labelled_is_named(
+    make_frames: MakeFrames, definition: AngleDefinition, tmp_path: Path
+) -> None:
+    frames = make_frames(np.linspace(0, 180, 6))
+    for frame in frames[:4]:
+        frame.xy[1] = np.nan
+    frames[5].xy[:] = np.nan
+    checkpoint = train(frames, KEYPOINTS, definition, tmp_path / "model", TINY)
+    assert len(checkpoint.training["trained_on"]) + len(checkpoint.training["held_out"]) == 5
+    for frame in frames:
+        frame.xy[1] = np.nan
+    with pytest.raises(LabelError, match="got none for base_2"):
+        train(frames, KEYPOINTS, definition, tmp_path / "other", TINY)
+    with pytest.raises(LabelError, match="got 0 without any"):
+        train([], KEYPOINTS, definition, tmp_path / "other", TINY)
+
+
+def test_every_actuator_is_held_out_in_its_share() -> None:
+    frames = [LabelledFrame(a, Path("x"), np.zeros((4, 2)), a) for a in ["p"] * 30 + ["q"] * 10 + ["r"] * 3]
+    trained, held = split(frames, 0.1, seed=0)
+    assert sorted(trained + held) == list(range(43))
+    assert [sum(frames[i].actuator == a for i in held) for a in "pqr"] == [3, 1, 0]
+
+    # The only frame that has a keypoint is trained on.
+    for frame in frames:
+        if frame is not frames[held[1]]:
+            frame.xy[2] = np.nan
+    assert held[1] in split(frames, 0.1, seed=0)[0]
+
+
+def test_consensus_follows_the_network_but_not_to_another_keypoint() -> None:
+    rng = np.random.default_rng(0)
+    labels = rng.uniform(0, 100, (20, 1, 2))
+    found = labels + 1.0
+    found[7, 0] = labels[7, 0] + 40
+    labels[3, 0] = np.nan
+    moved = consensus(labels, found, 0.7, np.ones(20))
+    np.testing.assert_allclose(moved[0, 0], labels[0, 0] + 0.7)
+    np.testing.assert_allclose(moved[7, 0], labels[7, 0])
+    assert np.isnan(moved[3, 0]).all()
+    # A network that has learnt nothing moves nothing, however much its errors agree.
+    np.testing.assert_array_equal(consensus(labels, labels + 30.0, 0.7, np.ones(20)), labels)
+
+
+def test_a_full_disk_loses_nothing_that_was_saved(make_frames: MakeFrames, tmp_path: Path) -> None:
+    frames = make_frames(np.linspace(0, 180, 8))
+    np.save(tmp_path / "labels.npy", np.stack([frame.xy for frame in frames]))
+    command = [sys.executable, "-c", KILLED, str(tmp_path), ",".join(KEYPOINTS), "model"]
+    kill_at_step(command, 5)
+    state = tmp_path / "model" / "training-state.safetensors"
+    saved = state.read_bytes()
+
+    # A limit on the size of files fails as a full disk does: in the middle of writing.
+    limited = (
+        "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, 1_000_000))\n"
+    )
+    command[2] = limited + KILLED
+    done = subprocess.run([*command, "--resume"], capture_output=True, text=True)
+    assert "File too large" in done.stderr
+    assert done.stdout.split()[-1] == "7", "it fails where it saves, not before"
+    assert state.read_bytes() == saved
+    assert sorted(path.name for path in (tmp_path / "model").iterdir()) == [
+        "training-state.safetensors",
+        "training.csv",
+    ]
