@@ -88,6 +88,13 @@ def packet_places(path: Path) -> list[tuple[int, int]]:
         return [(packet.pos, packet.size) for packet in container.demux(video=0) if packet.size]
 
 
+def cut(path: Path, out: Path, fraction: float) -> Path:
+    """The first part of a file."""
+    data = path.read_bytes()
+    out.write_bytes(data[: int(len(data) * fraction)])
+    return out
+
+
 class DiscDetector:
     """Finds the discs of `draw_arm` by colour, counting what it was given."""
 
@@ -122,6 +129,7 @@ class Film:
     frame_number = staticmethod(frame_number)
     encode = staticmethod(encode)
     packet_places = staticmethod(packet_places)
+    cut = staticmethod(cut)
     DiscDetector = DiscDetector
 
 

@@ -1,4 +1,4 @@
-"""Reading and writing real video files: whole, rotated, uneven in time, damaged, cut, or no video at all."""
+"""Reading real video files: whole, rotated, uneven in time, or no video at all."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import hashlib
 import shutil
 import subprocess
 import sys
-from contextlib import closing
 from pathlib import Path
 
 import av
@@ -15,31 +14,9 @@ import numpy as np
 import pytest
 
 from bendtrack.tracker.errors import VideoError
-from bendtrack.tracker.read_ahead import read_ahead
 from bendtrack.tracker.video import Video, file_sha256, read_frame, spread_frames, video_stem
-from bendtrack.tracker.video_writer import VideoWriter
 
 FRAMES = 60
-
-
-def damage(path: Path, out: Path, places: list[tuple[int, int]], seed: int = 0, count: int = 3) -> Path:
-    """Flip bytes inside packets, leaving their headers."""
-    data = bytearray(path.read_bytes())
-    random = np.random.default_rng(seed)
-    for position, size in places:
-        for offset in random.integers(min(12, size // 2), size, count):
-            data[position + int(offset)] ^= int(random.integers(1, 255))
-    out.write_bytes(data)
-    return out
-
-
-def cut(path: Path, out: Path, fraction: float) -> Path:
-    data = path.read_bytes()
-    out.write_bytes(data[: int(len(data) * fraction)])
-    return out
-
-
-# --- whole files
 
 
 def test_every_frame_comes_in_order_with_its_time(arm_video, film):
@@ -239,143 +216,6 @@ def test_colon_in_the_name_is_no_protocol(tmp_path, arm_video, monkeypatch):
     assert Video("take 1: slow.mp4").size_wh == (160, 120)
 
 
-# --- damaged files
-
-
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize(
-    ("name", "codec", "options"),
-    [
-        ("a.mp4", "libx264", {"g": "20", "bf": "3"}),
-        ("a.avi", "libx264", {"g": "20", "bf": "3"}),
-        ("a.mp4", "mpeg4", {"g": "12"}),
-    ],
-)
-def test_no_picture_that_damage_changed_is_given_out_as_sound(
-    tmp_path, film, arm_images, name, codec, options, seed
-):
-    """FFmpeg conceals errors and decodes on from concealed pictures; they must not pass as measured."""
-    whole = film.encode(tmp_path / f"whole_{name}", arm_images, codec=codec, options=options)
-    places = film.packet_places(whole)
-    hit = int(np.random.default_rng(seed).integers(3, FRAMES - 3))
-    video = Video(damage(whole, tmp_path / name, [places[hit]], seed))
-    frames = list(video)
-    truth = [frame.image for frame in Video(whole)]
-    assert len(frames) == FRAMES
-    assert sum(frame.decoded is None for frame in frames) == 1
-    for frame, image in zip(frames, truth, strict=True):
-        if frame.decoded is not None and not frame.damaged:
-            np.testing.assert_array_equal(frame.image, image)
-    last_gop = hit // 20 == FRAMES // 20 - 1 or codec == "mpeg4"
-    assert last_gop or not frames[-1].damaged  # the next key frame ends the damage
-    np.testing.assert_allclose([frame.time_s for frame in frames], np.arange(FRAMES) / 30, atol=1e-3)
-    assert "1 of 60 frames could not be decoded" in video.warnings[0]
-    assert not video.complete
-
-
-def test_b_frames_shown_before_the_damaged_frame_they_build_on_are_marked(tmp_path, arm_video, film):
-    """The decoder gives them out first; only afterwards does it turn out that their reference was damaged."""
-    with av.open(str(arm_video)) as container:
-        stamps = [packet.pts for packet in container.demux(video=0) if packet.size]
-    hit = next(n for n in range(22, 38) if stamps[n + 1] < stamps[n])  # a P frame, followed by its B frames
-    frames = list(Video(damage(arm_video, tmp_path / "p.mp4", [film.packet_places(arm_video)[hit]])))
-    shown_at = [sorted(stamps).index(stamp) for stamp in stamps]
-    assert frames[shown_at[hit]].decoded is None
-    assert shown_at[hit + 1] < shown_at[hit]
-    assert frames[shown_at[hit + 1]].damaged
-    assert not any(frame.damaged for frame in frames[:20])
-
-
-@pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi"])
-def test_packets_that_give_no_picture_keep_their_rows(tmp_path, film, arm_images, suffix):
-    whole = film.encode(
-        tmp_path / f"whole{suffix}", arm_images, options={"g": "20", "bf": "0"}, container_options={}
-    )
-    places = film.packet_places(whole)
-    data = bytearray(whole.read_bytes())
-    for hit in (25, 45):
-        position, size = places[hit]
-        data[position + 6 : position + size] = np.random.default_rng(hit).bytes(size - 6)
-    path = tmp_path / f"holes{suffix}"
-    path.write_bytes(data)
-    video = Video(path)
-    frames = list(video)
-    assert [frame.index for frame in frames if frame.decoded is None] == [25, 45]
-    assert [frame.index for frame in frames if frame.damaged] == [*range(26, 40), *range(46, 60)]
-    sound = [frame for frame in frames if frame.decoded is not None and not frame.damaged]
-    assert all(film.frame_number(frame.image) == frame.index for frame in sound)
-    np.testing.assert_allclose([frame.time_s for frame in frames], np.arange(FRAMES) / 30, atol=1.1e-3)
-    with pytest.raises(VideoError, match="frame 25 cannot be decoded"):
-        read_frame(path, 25)
-
-
-def test_mjpeg_loses_only_the_damaged_frame(tmp_path, film, arm_images):
-    whole = film.encode(tmp_path / "whole.avi", arm_images, codec="mjpeg", pix_fmt="yuvj420p")
-    position, size = film.packet_places(whole)[30]
-    data = bytearray(whole.read_bytes())
-    data[position : position + size] = bytes(size)
-    path = tmp_path / "hole.avi"
-    path.write_bytes(data)
-    frames = list(Video(path))
-    assert [frame.index for frame in frames if frame.decoded is None] == [30]
-    assert not any(frame.damaged for frame in frames)
-    assert [film.frame_number(frame.image) for frame in frames if frame.decoded] == [
-        n for n in range(FRAMES) if n != 30
-    ]
-
-
-def test_frames_lost_with_a_piece_of_matroska_are_noticed(tmp_path, film, arm_images):
-    """A zeroed stretch swallows whole packets; nothing in the file counts frames, but the clock jumps."""
-    whole = film.encode(tmp_path / "whole.mkv", arm_images, codec="mjpeg", pix_fmt="yuvj420p")
-    places = film.packet_places(whole)
-    data = bytearray(whole.read_bytes())
-    start, end = places[20][0] - 20, places[26][0]
-    data[start:end] = bytes(end - start)
-    path = tmp_path / "gap.mkv"
-    path.write_bytes(data)
-    video = Video(path)
-    n_sound = sum(frame.decoded is not None for frame in video)
-    assert n_sound < FRAMES - 5
-    assert not video.complete
-    assert any("no frame for" in warning or "cut short" in warning for warning in video.warnings)
-
-
-@pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi"])
-def test_file_cut_in_the_middle_gives_what_there_is_and_a_warning(tmp_path, film, arm_images, suffix):
-    whole = film.encode(
-        tmp_path / f"whole{suffix}",
-        arm_images,
-        options={"g": "20", "bf": "0"},
-        container_options={"movflags": "+faststart"} if suffix == ".mp4" else {},
-    )
-    video = Video(cut(whole, tmp_path / f"cut{suffix}", 0.7))
-    frames = list(video)
-    assert 20 < len(frames) < FRAMES
-    sound = [frame for frame in frames if frame.decoded is not None]
-    assert len(sound) >= len(frames) - 1
-    assert [film.frame_number(frame.image) for frame in sound] == [frame.index for frame in sound]
-    assert not video.complete
-    assert any("cut short" in warning for warning in video.warnings)
-
-
-def test_count_claimed_too_large_is_said(tmp_path, film, arm_images):
-    whole = film.encode(tmp_path / "whole.avi", arm_images, codec="mjpeg", pix_fmt="yuvj420p")
-    data = bytearray(whole.read_bytes())
-    length = data.index(b"strh") + 8 + 32  # AVISTREAMHEADER.dwLength
-    assert int.from_bytes(data[length : length + 4], "little") == FRAMES
-    data[length : length + 4] = (90).to_bytes(4, "little")
-    path = tmp_path / "claims.avi"
-    path.write_bytes(data)
-    video = Video(path)
-    assert video.claimed_frames == 90
-    assert len(list(video)) == FRAMES
-    assert video.warnings == ["the file claims 90 frames, 60 were found: it is cut short or damaged"]
-    assert not video.complete
-
-
-# --- no video at all
-
-
 def test_what_is_no_video_is_refused_in_one_line(tmp_path, arm_video, arm_images, film):
     def audio_only(path: Path) -> None:
         with av.open(str(path), "w") as container:
@@ -393,7 +233,7 @@ def test_what_is_no_video_is_refused_in_one_line(tmp_path, arm_video, arm_images
         path.write_bytes(data)
 
     def without_index(path: Path) -> None:
-        cut(film.encode(tmp_path / "index_last.mp4", arm_images), path, 0.6)
+        film.cut(film.encode(tmp_path / "index_last.mp4", arm_images), path, 0.6)
 
     cases = {
         "empty.mp4": (lambda path: path.touch(), "is empty"),
@@ -437,82 +277,3 @@ def test_memory_does_not_grow_with_the_video(tmp_path, film):
         assert n == count
         peaks.append(peak)
     assert peaks[1] < 1.1 * peaks[0]
-
-
-# --- writing
-
-
-def test_written_video_keeps_times_size_and_colours(tmp_path, film):
-    """Odd sizes are padded to even ones; times may be uneven; the index stands in front of the pictures."""
-    times_s = [0, 0.02, 0.12, 0.153, 0.9]
-    images = [film.draw_arm(20 * n, (161, 121), number=n) for n in range(5)]
-    path = tmp_path / "out.mp4"
-    with VideoWriter(path, (161, 121), 29.97) as writer:
-        for image, time_s in zip(images, times_s, strict=True):
-            writer.write(image, time_s)
-    video = Video(path)
-    frames = list(video)
-    assert video.size_wh == (162, 122)
-    np.testing.assert_allclose([frame.time_s for frame in frames], times_s, atol=2e-5)
-    for frame, image in zip(frames, images, strict=True):
-        assert np.mean(np.abs(frame.image[:121, :161].astype(int) - image)) < 4
-    with av.open(str(path)) as container:
-        assert container.streams.video[0].codec_context.pix_fmt == "yuv420p"
-    data = path.read_bytes()
-    assert data.index(b"moov") < data.index(b"mdat")
-
-
-def test_times_that_do_not_increase_are_moved_a_hair(tmp_path, film):
-    path = tmp_path / "out.mp4"
-    with VideoWriter(path, (160, 120), 30) as writer:
-        for time_s in (0.0, 0.1, 0.1, 0.05, 0.2):
-            writer.write(film.draw_arm(0), time_s)
-    times_s = [frame.time_s for frame in Video(path)]
-    assert np.all(np.diff(times_s) > 0)
-    np.testing.assert_allclose(times_s, [0, 0.1, 0.1, 0.1, 0.2], atol=1e-3)
-
-
-def test_failed_writing_leaves_the_old_file_and_nothing_else(tmp_path, film):
-    path = tmp_path / "out.mp4"
-    path.write_bytes(b"old")
-
-    def fail_while_drawing() -> None:
-        with VideoWriter(path, (160, 120), 30) as writer:
-            writer.write(film.draw_arm(0))
-            raise RuntimeError("drawing failed")
-
-    with pytest.raises(RuntimeError, match="drawing failed"):
-        fail_while_drawing()
-    with pytest.raises(VideoError, match="no frames"), VideoWriter(path, (160, 120), 30):
-        pass
-    assert path.read_bytes() == b"old"
-    assert list(tmp_path.iterdir()) == [path]
-
-
-def test_unwritable_place_is_one_line(tmp_path):
-    with pytest.raises(VideoError, match="cannot be written"):
-        VideoWriter(tmp_path / "missing" / "out.mp4", (160, 120), 30)
-
-
-# --- reading ahead
-
-
-def test_read_ahead_hands_over_errors_and_stops_when_told():
-    closed = []
-
-    def numbers(fail_at: int | None = None):
-        try:
-            for n in range(1000):
-                if n == fail_at:
-                    raise VideoError("broken")
-                yield n
-        finally:
-            closed.append(True)
-
-    broken = read_ahead(numbers(fail_at=5))
-    assert [next(broken) for _ in range(5)] == [0, 1, 2, 3, 4]
-    with pytest.raises(VideoError, match="broken"):
-        next(broken)
-    with closing(read_ahead(numbers())) as ahead:
-        assert next(ahead) == 0
-    assert closed == [True, True]
