@@ -19,7 +19,7 @@ import typer
 
 from ..errors import BendtrackError, ResultsError
 from . import model_folders, talk
-from .engines import DeviceOption, EngineOption, ModelOption, ThreadsOption, load_network, measured_angle
+from .engines import DeviceOption, EngineOption, ModelOption, load_network, measured_angle
 from .project_commands import ProjectArgument
 from .render_command import size_wh
 
@@ -68,7 +68,9 @@ def live(
     model: ModelOption = None,
     engine: EngineOption = "auto",
     device: DeviceOption = "auto",
-    threads: ThreadsOption = None,
+    threads: Annotated[
+        int | None, typer.Option(min=1, help="Cores for the network.", show_default="all, at most 4")
+    ] = None,
 ) -> None:
     """Measure as it is filmed, for closed-loop control.
 
