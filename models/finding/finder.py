@@ -30,6 +30,9 @@ GRID_TURN_DEG = 3.0
 MOST_LOOKS = 3
 """Patches of a keypoint in a frame: around where it may be, around what was found, and once more."""
 
+LOST_PATCH_PX = 16.0
+"""A keypoint that locator and refiner put further apart than this is not the one that was learnt."""
+
 MAX_INPUT_PX = 1 << 20
 """Input px that go through a network at once: its first layer's maps take 64 bytes for each."""
 
@@ -80,8 +83,10 @@ class Finder:
         """
         xy, likelihood = self.located(frames, region)
         found = self.refined(frames, xy, region, partner)
-        # Both must have seen it: a locator that guesses through a hand, or a patch that shows something else.
-        return Detections(found.xy, np.minimum(likelihood, found.likelihood), found.covariance)
+        # Both must have seen it, and in one place: a locator may guess through a hand, a patch show something else.
+        together = np.linalg.norm(found.xy - xy, axis=2) * region.refiner_scale <= LOST_PATCH_PX
+        both = np.where(together, np.minimum(likelihood, found.likelihood), 0.0)
+        return Detections(found.xy, both, found.covariance)
 
     def located(self, frames: Frames, region: WorkingRegion) -> tuple[FloatArray, FloatArray]:
         """Rough positions (N, K, 2) px and likelihoods (N, K), from the working region or else the whole frame."""

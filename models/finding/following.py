@@ -2,7 +2,8 @@
 
 What is found is the refiner's word alone, as in single frames; the past only says where its patches are cut, and what
 a patch shows that shows the same as before. Wherever a patch does not show what it should, the frame is searched as if
-it were the first; and every so often the locator says whether it would look elsewhere.
+it were the first, and so are those after it until both networks are sure again; and every so often the locator says
+whether it would look elsewhere.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...tracker.types import Detections, FloatArray, Frames, IntArray
-from .finder import Finder, cut_patch, foretold, joined, on_grid
+from .finder import LOST_PATCH_PX, Finder, cut_patch, foretold, joined, on_grid
 from .header import Header
 from .regions import WorkingRegion
 from .stillness import Sight
@@ -24,11 +25,8 @@ AHEAD = 2
 SURE_SHARE = 0.5
 """A peak lower than this share of the usual one is not believed without a search."""
 
-CHECK_EVERY = 60
-"""Frames after which the locator is asked whatever the patches say: a false track ends within two seconds."""
-
-LOST_PATCH_PX = 16.0
-"""A keypoint that the locator puts further off than this is searched, and what is seen better is believed."""
+CHECK_EVERY = 16
+"""Frames after which the locator is asked whatever the patches say: a false track ends within half a second."""
 
 RESTING_PATCH_PX = 0.5
 """A keypoint that moved by less from one frame to the next may be at rest."""
@@ -77,6 +75,7 @@ class Follower:
         self._last: FloatArray | None = None
         self._step = np.zeros((len(header.keypoints), 2))
         self._until_check = 0
+        self._is_sure = False
         self._passed_over = 0
         self._known: list[_Known | None] = [None] * len(header.keypoints)
 
@@ -95,7 +94,7 @@ class Follower:
         return self._believed(joined(parts), self._region)
 
     def _next(self, frames: Frames) -> Detections:
-        if self._last is None:
+        if self._last is None or not self._is_sure:
             found = self._search(frames)
         else:
             ahead = self._passed_over + np.arange(1, len(frames) + 1)[:, None, None]
@@ -139,21 +138,26 @@ class Follower:
         return _with(found, lost, self._search([frames[i] for i in lost])) if lost else found
 
     def _checked(self, frames: Frames, found: Detections) -> Detections:
-        """What was found, unless the locator would look elsewhere in the last frame, and more is seen there."""
+        """What was found, unless the locator would look elsewhere in the last frame, and both are sure of it there."""
         self._until_check = CHECK_EVERY
         located, _ = self._finder.located(frames[-1:], self._region)
         if not self._elsewhere(located[0], found).any():
             return found
         searched = self._search(frames)
-        better = searched.likelihood[-1] > found.likelihood[-1]
-        return searched if (self._elsewhere(searched.xy[-1], found) & better).any() else found
+        sure = searched.likelihood[-1] >= self._sure
+        if (self._elsewhere(searched.xy[-1], found) & sure).any():
+            return searched
+        self._is_sure = True
+        return found
 
     def _elsewhere(self, xy: FloatArray, found: Detections) -> np.ndarray:
         return self._distance(xy, found.xy[-1]) > LOST_PATCH_PX
 
     def _search(self, frames: Frames) -> Detections:
         self._until_check = CHECK_EVERY
-        return self._finder.detect(frames, self._region, self._header.partner)
+        found = self._finder.detect(frames, self._region, self._header.partner)
+        self._is_sure = bool((found.likelihood[-1] >= self._sure).all())
+        return found
 
     def _distance(self, one: FloatArray, other: FloatArray) -> FloatArray:
         """Distances (..., K) in px of the refiner's patches."""

@@ -22,8 +22,9 @@ LOCATOR_SIDE = 160
 LOCATOR_BODY = 56
 """The body's length must cover at least so many input px (14 heatmap cells)."""
 
-PATCH_BODY_SHARE = 0.15
-"""A patch shows so much of the body's length: enough to see what the keypoint belongs to."""
+PATCH_BODY_SHARE = 0.25
+"""A patch shows so much of the body's length: a tip is to be seen whole, however thick. In a patch that shows less of a
+cap than its width, a point in the middle of it slides along."""
 
 MAX_MAGNIFICATION = 1.5
 """Patches are enlarged at most so much; a camera's pixels hold nothing finer."""
@@ -111,13 +112,8 @@ def body_length_px(xy: FloatArray) -> float:
     return float(np.median(lengths)) if lengths else 0.0
 
 
-def find_region(
-    xy: FloatArray, frame_wh: tuple[int, int], patch_share: float = PATCH_BODY_SHARE
-) -> WorkingRegion:
-    """The working region of frames with labels `xy` (N, K, 2) px, NaN where a keypoint is not labelled.
-
-    patch_share : how much of the body's length a patch shows
-    """
+def find_region(xy: FloatArray, frame_wh: tuple[int, int]) -> WorkingRegion:
+    """The working region of frames with labels `xy` (N, K, 2) px, NaN where a keypoint is not labelled."""
     points = xy.reshape(-1, 2)
     points = points[~np.isnan(points).any(axis=1)]
     low, high = points.min(axis=0), points.max(axis=0)
@@ -127,7 +123,7 @@ def find_region(
     right, bottom = (int(v) for v in np.minimum(np.ceil(high + margin), np.array(frame_wh)))
     width, height = right - left, bottom - top
     locator_scale = min(1.0, max(LOCATOR_SIDE / max(width, height), LOCATOR_BODY / body))
-    refiner_scale = min(MAX_MAGNIFICATION, PATCH_SIDE / (patch_share * body))
+    refiner_scale = min(MAX_MAGNIFICATION, PATCH_SIDE / (PATCH_BODY_SHARE * body))
     return WorkingRegion(frame_wh, left, top, width, height, locator_scale, refiner_scale)
 
 

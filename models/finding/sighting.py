@@ -26,9 +26,6 @@ FIRST_SIDES = (96, 128, 192, 256)
 BODY_SIDE = 64
 """Input px of the body's length where it is looked at once more: as large as in most of pretraining's pictures."""
 
-WIDE_PATCH_SHARE = 0.25
-"""A patch shows so much of the body's length: more than where labels tell where things are."""
-
 SURE = 0.5
 """A keypoint counts as seen from this share of its usual peak on."""
 
@@ -221,7 +218,7 @@ def _seen(found: _Look) -> FloatArray:
 
 def _fitting_region(xy: FloatArray, frame_wh: tuple[int, int]) -> WorkingRegion:
     """Where bodies found at (N, K, 2) px can be, at the scales at which pretraining showed bodies."""
-    region = find_region(xy, frame_wh, WIDE_PATCH_SHARE)
+    region = find_region(xy, frame_wh)
     fits = BODY_SIDE / max(body_length_px(xy), 1.0), FIRST_SIDES[-1] / max(region.width, region.height)
     return replace(region, locator_scale=min(1.0, *fits))
 

@@ -50,8 +50,8 @@ def add_noise(image: ImageArray, rng: Rng) -> ImageArray:
     return np.clip(image + noise, 0, 255).astype(np.uint8)
 
 
-def occlude(image: ImageArray, rng: Rng, share: float = 0.5) -> tuple[ImageArray, ImageArray]:
-    """Put something in the way in `share` of the pictures.
+def occlude(image: ImageArray, rng: Rng) -> tuple[ImageArray, ImageArray]:
+    """Put something in the way in half of the pictures.
 
     Returns
     -------
@@ -59,7 +59,7 @@ def occlude(image: ImageArray, rng: Rng, share: float = 0.5) -> tuple[ImageArray
     """
     h, w = image.shape[:2]
     mask = np.zeros((h, w), np.uint8)
-    if rng.random() >= share:
+    if rng.random() >= 0.5:
         return image, mask
     for _ in range(rng.integers(1, 3)):
         centre = (int(rng.integers(0, w)), int(rng.integers(0, h)))
@@ -69,10 +69,11 @@ def occlude(image: ImageArray, rng: Rng, share: float = 0.5) -> tuple[ImageArray
         else:
             box = cv2.boxPoints((centre, (2 * axes[0], 2 * axes[1]), float(rng.uniform(0, 180))))
             cv2.fillPoly(mask, [np.round(box).astype(np.int32)], 255)
-    # What hides is either of one colour or another piece of the same scene, so that colour alone never tells.
+    # What hides is of one colour, often the actuator's own, or another piece of the scene: colour alone never tells.
     if rng.random() < 0.5:
         cover = np.empty_like(image)
-        cover[:] = rng.integers(0, 256, size=3, dtype=np.uint8)
+        own = image[rng.integers(h), rng.integers(w)]
+        cover[:] = own if rng.random() < 0.5 else rng.integers(0, 256, size=3, dtype=np.uint8)
     else:
         cover = np.roll(image, (int(rng.integers(h)), int(rng.integers(w))), axis=(0, 1))
     hidden = mask[..., None] > 0

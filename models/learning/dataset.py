@@ -158,33 +158,58 @@ def refiner_batch(
     rng: Rng,
     *,
     most: int | None = None,
+    elsewhere: int = 1,
     change: PictureChange | None = None,
 ) -> Batch:
-    """One random patch around each labelled keypoint of the frames `chosen`, by their keys; of `most` of a frame's."""
+    """One random patch around each labelled keypoint of the frames `chosen`, by their keys, and some of elsewhere.
+
+    most : of the keypoints of a frame; None takes all
+    elsewhere : patches of a frame cut anywhere, so that a keypoint is not seen wherever one looks for it
+    change : as `locator_batch`'s
+    """
     images, targets, known, present = [], [], [], []
     for index in chosen:
         frame = frames[index]
         points = frame.fine_view.to_input(frame.xy)
         labelled: BoolArray = np.logical_not(np.isnan(points).any(axis=1))
-        directions = patch_directions(points, partner)
         keypoints = np.flatnonzero(labelled)
         if most is not None and most < len(keypoints):
             keypoints = rng.choice(keypoints, most, replace=False)
-        for k in keypoints.tolist():
-            zoom = frame.region.magnification
-            turn = directions[k] + np.deg2rad(rng.normal(0, PATCH_TURN_DEG))
-            if not labelled[partner[k]]:
-                # In a video the partner is always located somewhere: a patch without it may come in any attitude.
-                turn = rng.uniform(-np.pi, np.pi)
-            shift = np.clip(rng.normal(0, PATCH_SHIFT_PX, size=2), -16, 16) / zoom
-            view = patch_view(points[k] + shift, zoom * np.exp(rng.normal(0, 0.06)), turn)
-            picture, mask = augment.occlude(view.cut(frame.fine), rng, share=0.2)
+        middles = [_near(frame, points, k, partner, rng) for k in keypoints.tolist()]
+        middles += [_anywhere(frame, points[labelled], rng) for _ in range(elsewhere)]
+        for middle, turn in middles:
+            view = patch_view(middle, frame.region.magnification * np.exp(rng.normal(0, 0.06)), turn)
+            picture, mask = augment.occlude(view.cut(frame.fine), rng)
             images.append((change or augment.change_picture)(picture, rng))
             xy = view.to_input(points)
             targets.append(xy)
             known.append(labelled)
             present.append(_in_view(xy, (PATCH_SIDE, PATCH_SIDE)) & ~_hidden(xy, mask) & frame.in_sight)
     return _stack(images, targets, known, present)
+
+
+def _near(
+    frame: PreparedFrame, points: FloatArray, keypoint: int, partner: Sequence[int], rng: Rng
+) -> tuple[FloatArray, float]:
+    """Middle (2,) and turn (rad) of a patch that shows a keypoint about as a locator would have it."""
+    turn = patch_directions(points, partner)[keypoint] + np.deg2rad(rng.normal(0, PATCH_TURN_DEG))
+    if np.isnan(points[partner[keypoint]]).any():
+        # In a video the partner is always located somewhere: a patch without it may come in any attitude.
+        turn = rng.uniform(-np.pi, np.pi)
+    shift = np.clip(rng.normal(0, PATCH_SHIFT_PX, size=2), -16, 16) / frame.region.magnification
+    return points[keypoint] + shift, turn
+
+
+def _anywhere(frame: PreparedFrame, labelled: FloatArray, rng: Rng) -> tuple[FloatArray, float]:
+    """Middle (2,) and turn (rad) of a patch along the body or, as often, anywhere in the working region."""
+    turn = rng.uniform(-np.pi, np.pi)
+    if rng.random() < 0.5 and len(labelled):
+        one, other = labelled[rng.choice(len(labelled), 2)]
+        step = other - one
+        return one + rng.random() * step + rng.normal(0, 0.3, 2) * np.linalg.norm(step), turn
+    box = frame.region
+    corner, extent = np.array([box.left, box.top]), np.array([box.width, box.height])
+    return (corner + rng.random(2) * extent) * box.fine_scale, turn
 
 
 def _in_view(xy: FloatArray, size_wh: tuple[int, int]) -> BoolArray:

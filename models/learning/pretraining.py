@@ -24,7 +24,7 @@ import numpy as np
 import torch
 
 from ...tracker.angle import AngleDefinition
-from ...tracker.errors import TrainingError
+from ...tracker.errors import TrainingError, WeightsError
 from ...tracker.synthetic.stream import KEYPOINTS, Sample
 from ...tracker.types import Detections, FloatArray
 from ..cascade import Cascade
@@ -33,7 +33,7 @@ from ..finding.calibration import Calibration, spread_scale, usual_peaks
 from ..finding.finder import joined
 from ..finding.regions import WorkingRegion
 from .dataset import Batch, PreparedFrame
-from .inheritance import ENDS
+from .inheritance import ENDS, inherit, parent_of
 from .pair import Pair
 from .pretraining_figure import write_curve
 from .rendered import LOCATOR_INPUT, PARTNER, PICTURE_WH, rendered_batches, rendered_samples
@@ -66,6 +66,8 @@ class PretrainingSettings:
     cell_weight : `Learner`'s
     average : how much of the averaged weights is kept each step
     seed : everything random follows from it; pictures that judge are drawn with the next one
+    init : "random", "actuator" (the network that comes with bendtrack), or the path of a network of ours: both start
+        from its weights, and `seed` must be another than its own for the pictures to be new
     """
 
     backbone: str = "resnet18"
@@ -80,6 +82,7 @@ class PretrainingSettings:
     cell_weight: float = 1.0
     average: float = 0.998
     seed: int = 0
+    init: str = "random"
 
     def __post_init__(self) -> None:
         check_start(self.backbone, self.seed)
@@ -119,8 +122,10 @@ def pretrain(
     ------
     TrainingError
         The loss is not finite, or there is nothing fitting to resume.
+    WeightsError
+        `settings.init` names no network that fits.
     """
-    pretrainer = _Pretrainer(Path(folder), settings or PretrainingSettings())
+    pretrainer = _Pretrainer(Path(folder), settings or PretrainingSettings(), resume)
     if resume:
         pretrainer.restore()
     pretrainer.run(stop_after_s, progress)
@@ -135,13 +140,15 @@ def pretrain(
 class _Pretrainer:
     """The state of one pretraining and the steps that change it."""
 
-    def __init__(self, folder: Path, settings: PretrainingSettings) -> None:
+    def __init__(self, folder: Path, settings: PretrainingSettings, resume: bool) -> None:
         self.folder, self.settings = folder, settings
         self.state_file = folder / STATE_FILE
         torch.manual_seed(settings.seed)
-        network = Cascade(settings.backbone, len(KEYPOINTS)).to(best_device())
+        network = Cascade(settings.backbone, len(KEYPOINTS))
+        if settings.init != "random" and not resume:  # what is resumed has its weights
+            self._start_from(network)
         self.pair = Pair(
-            network,
+            network.to(best_device()),
             average=settings.average,
             weight_decay=settings.weight_decay,
             cell_weight=settings.cell_weight,
@@ -150,6 +157,16 @@ class _Pretrainer:
         self.step, self.elapsed_s = 0, 0.0
         self.rows: list[dict[str, float]] = []
         self.judged = list(rendered_samples(settings.seed + 1, range(settings.judged)))
+
+    def _start_from(self, network: Cascade) -> None:
+        init = self.settings.init
+        parent = parent_of(init, self.settings.backbone)
+        if parent is None or not set(ENDS) <= set(parent.keypoints):
+            raise WeightsError(
+                f"--init: expected random, actuator, or a network with backbone {self.settings.backbone} that was"
+                f" pretrained, got {init}"
+            )
+        inherit(network, KEYPOINTS, parent)
 
     def run(self, stop_after_s: float | None, progress: Callable[[Progress], None] | None) -> None:
         """Train until the schedule ends, or until it is time to stop."""
@@ -210,7 +227,7 @@ class _Pretrainer:
             calibration=Calibration(spread_scale(found, truth, 0.0), 0.0, 1, peaks),
             training={
                 "settings": asdict(self.settings),
-                "started_from": "random",
+                "started_from": self.settings.init,
                 "steps": self.step,
                 "steps_planned": self.schedule.total,
                 "pictures": self.step * self.settings.pictures,
@@ -231,7 +248,7 @@ class _Pretrainer:
             best=None,
             best_step=0,
             targets=np.empty((0, len(KEYPOINTS), 2)),
-            start="random",
+            start=self.settings.init,
         )
         save_state(self.state_file, state, self.pair.learners)
         write_rows(self.folder, self.rows)

@@ -21,7 +21,7 @@ LOCATOR_INPUT = 96
 """Side of the locator's input in pretraining: far cheaper than a project's, and the convolutions do not mind."""
 
 PATCH_SHARES = (0.15, 0.35)
-"""How much of the body's length a patch shows: `regions.PATCH_BODY_SHARE`, and more where nobody knows the body yet."""
+"""How much of the body's length a patch shows: around `regions.PATCH_BODY_SHARE`."""
 
 PARTNER = tuple(KEYPOINTS.index(name) for name in (
     "base_2", "base_1", "mid_2", "mid_1", "mid_4", "mid_3", "mid_4", "tip_2", "tip_1",
@@ -54,7 +54,7 @@ def rendered_batches(seed: int, step: int, pictures: int, crops: int, patches: i
     side = (LOCATOR_INPUT, LOCATOR_INPUT)
     return (
         locator_batch(frames, crops * chosen, side, rng, change=_as_it_is),
-        refiner_batch(frames, chosen, PARTNER, rng, most=patches, change=_as_it_is),
+        refiner_batch(frames, chosen, PARTNER, rng, most=patches, elsewhere=0, change=_as_it_is),
     )
 
 

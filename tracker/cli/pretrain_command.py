@@ -22,7 +22,12 @@ def pretrain(
     stop_after: Annotated[
         float | None, typer.Option(help="Stop after so many minutes; --resume goes on.", metavar="MINUTES")
     ] = None,
-    seed: Annotated[int, typer.Option(help="Everything random follows from it.")] = 0,
+    init: Annotated[
+        str, typer.Option(help="random, actuator (what comes with bendtrack), or a pretrained network.")
+    ] = "random",
+    seed: Annotated[
+        int, typer.Option(help="Everything random follows from it; with --init, not that network's own.")
+    ] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with what was stopped in OUT.")] = False,
 ) -> None:
     """Teach a network actuators in general, from rendered ones.
@@ -43,7 +48,7 @@ def pretrain(
     if not resume and (out / WEIGHTS_FILE).is_file():
         raise TrainingError(f"expected a folder without a network, got one in {out}")
     given = {} if steps is None else {"steps": steps}
-    settings = PretrainingSettings(backbone=backbone, seed=seed, **given)
+    settings = PretrainingSettings(backbone=backbone, seed=seed, init=init, **given)
     remove_leftovers(out)
     talk.say(f"{'Going on' if resume else 'Beginning'} in {out}: {settings.steps} steps in all, {backbone}")
     with progress_bars.training(out.name) as progress:

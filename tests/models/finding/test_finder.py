@@ -118,6 +118,40 @@ def test_what_is_hidden_is_unlikely_and_found_again(finder: Finder, header: Head
     assert (found.likelihood[12:] > 0.9).all()
 
 
+def test_what_the_two_networks_put_far_apart_is_unlikely(header: Header) -> None:
+    class SeesItBeside(FindsSpots):
+        def __call__(self, pictures: np.ndarray) -> Detections:
+            found = super().__call__(pictures)
+            return Detections(found.xy + beside_px, found.likelihood, found.covariance)
+
+    truth = arms(np.array([20.0]))
+    for beside_px, likely in ((2.0, True), (15.0, False)):
+        finder = Finder(FindsSpots(), SeesItBeside())
+        found = finder.detect([picture(truth[0])], REGION, header.partner)
+        assert (found.likelihood > 0.5).all() == likely
+        assert (found.likelihood == 0).all() != likely
+
+
+def test_a_frame_is_searched_until_both_networks_are_sure(header: Header) -> None:
+    """Where the tip comes out from behind something, what was taken for it meanwhile is not followed."""
+    truth = arms(np.full(12, 20.0))
+    frames = [picture(xy) for xy in truth]
+
+    class UnsureAtFirst(FindsSpots):
+        def __call__(self, pictures: np.ndarray) -> Detections:
+            found = super().__call__(pictures)
+            if self.shown <= 5:
+                found.likelihood[:, 2] = 0.3
+            return found
+
+    locate = UnsureAtFirst()
+    follower = Follower(Finder(locate, FindsSpots()), header)
+    likelihood = np.concatenate([follower.detect([frame]).likelihood for frame in frames])
+    assert (likelihood[:5, 2] < 0.5).all()
+    assert (likelihood[5:] > 0.9).all()
+    assert locate.shown == 6
+
+
 def test_a_false_track_ends_with_the_next_search(finder: Finder, header: Header) -> None:
     rest = arms(np.array([20.0]))[0]
     false = rest + np.array([0.0, 90.0])

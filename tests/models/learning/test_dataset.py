@@ -70,7 +70,8 @@ def test_crop_and_patch_targets_lie_on_the_marks(prepared: list[PreparedFrame]) 
 @pytest.mark.usefixtures("plain")
 def test_patches_show_the_ends_upright_whatever_the_bend(prepared: list[PreparedFrame]) -> None:
     partner = partners(np.stack([frame.xy for frame in prepared]))
-    batch = refiner_batch(dict(enumerate(prepared)), list(range(6)), partner, np.random.default_rng(0))
+    rng = np.random.default_rng(0)
+    batch = refiner_batch(dict(enumerate(prepared)), list(range(6)), partner, rng, elsewhere=0)
     tip = batch.xy[2::4]
     direction = np.rad2deg(np.arctan2(*(tip[:, 3] - tip[:, 2]).T[::-1]))
     assert np.abs(direction).max() < 40
@@ -94,16 +95,33 @@ def test_missing_labels_are_unknown_and_get_no_patch(prepared: list[PreparedFram
     partner = partners(np.stack([frame.xy for frame in prepared]))
     frames, rng = dict(enumerate(prepared)), np.random.default_rng(0)
     assert locator_batch(frames, [0], (160, 128), rng).known.tolist() == [[True, True, False, True]]
-    assert len(refiner_batch(frames, [0], partner, rng).images) == 3
+    assert len(refiner_batch(frames, [0], partner, rng, elsewhere=0).images) == 3
+
+
+def test_patches_of_elsewhere_are_along_the_body_or_anywhere(prepared: list[PreparedFrame]) -> None:
+    partner = partners(np.stack([frame.xy for frame in prepared]))
+    frames, rng = dict(enumerate(prepared)), np.random.default_rng(0)
+    batch = refiner_batch(frames, list(range(6)), partner, rng, most=1, elsewhere=30)
+    assert len(batch.images) == 6 * 31
+    near = np.arange(len(batch.images)) % 31 == 0
+    assert batch.present[near].any(axis=1).all()
+    # Some show no keypoint at all, even of a body this small, and all of them may be learnt from.
+    assert batch.known.all()
+    assert 0.15 < (~batch.present[~near].any(axis=1)).mean() < 0.8
+    # They do not all show the same place: somewhere they are far from every keypoint, somewhere near one.
+    away = np.linalg.norm(batch.xy[~near] - (PATCH_SIDE - 1) / 2, axis=2).min(axis=1)
+    assert away.min() < PATCH_SIDE / 2
+    assert away.max() > PATCH_SIDE
 
 
 def test_an_occluder_hides_what_its_mask_says() -> None:
     image = np.full((90, 120, 3), 100, np.uint8)
     image[40:50, 55:65] = 250
     rng = np.random.default_rng(3)
-    seen = [augment.occlude(image, rng, share=1.0) for _ in range(80)]
+    seen = [augment.occlude(image, rng) for _ in range(160)]
     for picture, mask in seen:
         assert np.array_equal(picture[mask == 0], image[mask == 0])
+    assert 50 <= sum(mask.any() for _, mask in seen) < 110
     assert 3 <= sum(mask[45, 60] > 0 for _, mask in seen) < 40
 
 
