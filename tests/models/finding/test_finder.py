@@ -120,14 +120,15 @@ def test_what_is_hidden_is_unlikely_and_found_again(finder: Finder, header: Head
 
 def test_what_the_two_networks_put_far_apart_is_unlikely(header: Header) -> None:
     class SeesItBeside(FindsSpots):
+        beside_px = 0.0
+
         def __call__(self, pictures: np.ndarray) -> Detections:
             found = super().__call__(pictures)
-            return Detections(found.xy + beside_px, found.likelihood, found.covariance)
+            return Detections(found.xy + self.beside_px, found.likelihood, found.covariance)
 
-    truth = arms(np.array([20.0]))
-    for beside_px, likely in ((2.0, True), (15.0, False)):
-        finder = Finder(FindsSpots(), SeesItBeside())
-        found = finder.detect([picture(truth[0])], REGION, header.partner)
+    truth, refine = arms(np.array([20.0])), SeesItBeside()
+    for refine.beside_px, likely in ((2.0, True), (15.0, False)):
+        found = Finder(FindsSpots(), refine).detect([picture(truth[0])], REGION, header.partner)
         assert (found.likelihood > 0.5).all() == likely
         assert (found.likelihood == 0).all() != likely
 
