@@ -10,14 +10,15 @@ import numpy as np
 import pytest
 import torch
 
-from bendtrack.models.checkpoint import load_checkpoint
+from bendtrack.models.checkpoint import Checkpoint, load_checkpoint
 from bendtrack.models.engine import build_beside
+from bendtrack.models.finding.header import WEIGHTS_FILE
 from bendtrack.models.finding.regions import patch_directions
 from bendtrack.models.learning.pretraining import PretrainingSettings, pretrain
 from bendtrack.models.learning.rendered import PARTNER, prepared_sample, rendered_batches
 from bendtrack.models.learning.training_state import STATE_FILE
 from bendtrack.tracker.angle import bending_angle
-from bendtrack.tracker.errors import TrainingError
+from bendtrack.tracker.errors import TrainingError, WeightsError
 from bendtrack.tracker.synthetic.stream import KEYPOINTS, draw
 
 TINY = PretrainingSettings(steps=4, pictures=2, patches=2, judged=2)
@@ -111,6 +112,25 @@ def test_only_what_was_begun_alike_goes_on(tmp_path: Path) -> None:
         pretrain(tmp_path, replace(TINY, seed=1), resume=True)
     longer = pretrain(tmp_path, replace(TINY, steps=5), resume=True)
     assert longer.training["steps"] == 5
+
+
+def test_it_goes_on_from_a_network_of_ours(tmp_path: Path) -> None:
+    first = pretrain(tmp_path / "first", TINY)
+    settings = replace(TINY, init=str(tmp_path / "first"), seed=2)
+    then = pretrain(tmp_path / "then", settings, stop_after_s=0.0)
+    afresh = pretrain(tmp_path / "afresh", replace(settings, init="random"), stop_after_s=0.0)
+    assert then.training["started_from"] == settings.init
+
+    def apart(one: Checkpoint, other: Checkpoint) -> float:
+        pairs = zip(one.network.parameters(), other.network.parameters(), strict=True)
+        return sum(float((a - b).abs().sum()) for a, b in pairs)
+
+    assert apart(first, then) < 0.1 * apart(first, afresh)
+    # What is resumed needs it no longer.
+    (tmp_path / "first" / WEIGHTS_FILE).unlink()
+    assert pretrain(tmp_path / "then", settings, resume=True).training["steps"] == TINY.steps
+    with pytest.raises(WeightsError, match="expected random, actuator, or a network with backbone resnet18"):
+        pretrain(tmp_path / "other", settings)
 
 
 @pytest.mark.parametrize("wrong", [{"steps": 0}, {"pictures": 0}, {"backbone": "resnet9"}, {"seed": -1}])
