@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...tracker.types import Detections, FloatArray, Frames, IntArray
+from ...tracker.types import BoolArray, Detections, FloatArray, Frames, IntArray
 from .finder import LOST_PATCH_PX, Finder, cut_patch, foretold, joined, on_grid
 from .header import Header
 from .regions import WorkingRegion
@@ -134,7 +134,7 @@ class Follower:
         for i, k, known in anew:
             known.add(found.xy[i, k], found.likelihood[i, k], found.covariance[i, k])
             self._known[k] = known
-        lost = np.flatnonzero((found.likelihood < self._sure).any(axis=1)).tolist()
+        lost = np.flatnonzero(~self._seen(found).all(axis=1)).tolist()
         return _with(found, lost, self._search([frames[i] for i in lost])) if lost else found
 
     def _checked(self, frames: Frames, found: Detections) -> Detections:
@@ -144,8 +144,7 @@ class Follower:
         if not self._elsewhere(located[0], found).any():
             return found
         searched = self._search(frames)
-        sure = searched.likelihood[-1] >= self._sure
-        if (self._elsewhere(searched.xy[-1], found) & sure).any():
+        if (self._elsewhere(searched.xy[-1], found) & self._seen(searched)[-1]).any():
             return searched
         self._is_sure = True
         return found
@@ -156,8 +155,12 @@ class Follower:
     def _search(self, frames: Frames) -> Detections:
         self._until_check = CHECK_EVERY
         found = self._finder.detect(frames, self._region, self._header.partner)
-        self._is_sure = bool((found.likelihood[-1] >= self._sure).all())
+        self._is_sure = bool(self._seen(found)[-1].all())
         return found
+
+    def _seen(self, found: Detections) -> BoolArray:
+        """Which keypoints (N, K) are seen well enough, and not far from where their partners say."""
+        return np.asarray((found.likelihood >= self._sure) & self._header.fits(found.xy, self._region))
 
     def _distance(self, one: FloatArray, other: FloatArray) -> FloatArray:
         """Distances (..., K) in px of the refiner's patches."""

@@ -18,7 +18,7 @@ from safetensors import SafetensorError, safe_open
 
 from ...tracker.angle import AngleDefinition
 from ...tracker.errors import BendtrackError, CheckpointError
-from ...tracker.types import Detections
+from ...tracker.types import BoolArray, Detections, FloatArray
 from .calibration import Calibration
 from .label_mean import with_offset
 from .regions import WorkingRegion
@@ -26,6 +26,10 @@ from .regions import WorkingRegion
 WEIGHTS_FILE = "weights.safetensors"
 FORMAT = 2
 """Raised when the networks' layers change."""
+
+SHORTER, LONGER = 0.6, 1.5
+"""A keypoint and its partner may lie nearer than in any label, or further apart, by these factors: an end turns away
+from the camera a little, or is beyond the labelled bends, but does not stretch."""
 
 PRETRAINED_PEAKS = 4
 """`Header.peaks` of a network that has seen no actuator's labels, and so takes one thing for another."""
@@ -44,6 +48,8 @@ class Header:
     partner : for each keypoint the one that its patch is turned by
     calibration : what turns the network's spreads into covariances of positions
     label_offset : for each keypoint from `label_mean.label_offset`; empty where it is in the weights
+    lengths : for each keypoint the shortest and the longest labelled distance from its partner, in patch px
+        (`regions.partner_lengths`); empty where nobody labelled any
     training : settings, what the weights started from, frames trained on and held out
     """
 
@@ -54,6 +60,7 @@ class Header:
     partner: tuple[int, ...]
     calibration: Calibration
     label_offset: tuple[tuple[float, float], ...] = ()
+    lengths: tuple[tuple[float, float], ...] = ()
     training: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -71,8 +78,20 @@ class Header:
         own = (region for region in self.regions if region.frame_wh == frame_wh)
         return next(own, self.regions[0].for_frame(frame_wh))
 
+    def fits(self, xy: FloatArray, region: WorkingRegion) -> BoolArray:
+        """Which keypoints (N, K) of positions (N, K, 2) px lie about as far from their partners as in some label."""
+        if not self.lengths:
+            return np.ones(xy.shape[:2], bool)
+        apart = np.linalg.norm(xy - xy[:, list(self.partner)], axis=2) * region.refiner_scale
+        shortest, longest = np.array(self.lengths).T
+        return np.asarray((apart >= SHORTER * shortest) & (apart <= LONGER * longest))
+
     def calibrated(self, found: Detections, region: WorkingRegion) -> Detections:
-        """What the networks found in frames of a region, with the labels' mean and believable uncertainties."""
+        """What the networks found in frames of a region, with the labels' mean and believable uncertainties.
+
+        A keypoint that lies nowhere near as far from its partner as in the labels is not believed at all.
+        """
+        found = replace(found, likelihood=np.where(self.fits(found.xy, region), found.likelihood, 0.0))
         if self.label_offset:
             xy = with_offset(found.xy, np.array(self.label_offset), self.partner, region.refiner_scale)
             found = replace(found, xy=xy)
@@ -93,6 +112,8 @@ class Header:
             "regions": [region.to_dict() for region in self.regions],
             "partner": list(self.partner),
             "label_offset_patch_px": [list(offset) for offset in self.label_offset],
+            # JSON knows no infinity.
+            "lengths_patch_px": [[low, None if high == np.inf else high] for low, high in self.lengths],
             "calibration": {**asdict(self.calibration), "usual_peak": list(self.calibration.usual_peak)},
             "training": dict(self.training),
         }
@@ -145,6 +166,9 @@ def read_header(path: Path, backbones: Sequence[str] = ()) -> Header:
             partner=tuple(header["partner"]),
             calibration=Calibration.from_dict(header["calibration"]),
             label_offset=tuple((x, y) for x, y in header.get("label_offset_patch_px", [])),
+            lengths=tuple(
+                (low, np.inf if high is None else high) for low, high in header.get("lengths_patch_px", [])
+            ),
             training=header["training"],
         )
 

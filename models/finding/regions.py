@@ -166,6 +166,20 @@ def partners(xy: FloatArray) -> Sequence[int]:
     return [int(np.argmin(row)) if np.isfinite(row).any() else i for i, row in enumerate(middle)]
 
 
+def partner_lengths(xy: FloatArray, partner: Sequence[int], patch_scale: FloatArray) -> FloatArray:
+    """The shortest and the longest labelled distance of each keypoint from its partner, (K, 2) patch px.
+
+    xy : (N, K, 2) px, NaN where not labelled; patch_scale : (N,) patch px per px. (0, inf) where no frame shows both.
+    """
+    apart = np.linalg.norm(xy - xy[:, list(partner)], axis=2) * patch_scale[:, None]
+    known = np.isfinite(apart)
+    shortest = np.where(known, apart, np.inf).min(axis=0)
+    longest = np.where(known, apart, -np.inf).max(axis=0)
+    # A keypoint that is its own partner is no distance away.
+    nothing = ~known.any(axis=0) | (longest == 0)
+    return np.stack([np.where(nothing, 0.0, shortest), np.where(nothing, np.inf, longest)], axis=1)
+
+
 def patch_directions(xy: FloatArray, partner: Sequence[int]) -> FloatArray:
     """Direction (rad) by which each keypoint's patch is turned: from the lower-numbered of the pair to the higher.
 

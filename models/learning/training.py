@@ -28,7 +28,7 @@ from ..evaluation import frame_id
 from ..finding.calibration import calibrate
 from ..finding.finder import LOCATOR_MULTIPLE, joined
 from ..finding.label_mean import label_offset, with_offset
-from ..finding.regions import LOCATOR_SIDE, partners, working_regions
+from ..finding.regions import LOCATOR_SIDE, partner_lengths, partners, working_regions
 from .consensus import consensus
 from .dataset import Batch, locator_batch, prepare, read_image, refiner_batch
 from .held_out import split
@@ -325,8 +325,12 @@ class _Trainer:
             partner=self.partner,
             calibration=calibration,
             label_offset=tuple((float(x), float(y)) for x, y in offset),
+            lengths=tuple((float(low), float(high)) for low, high in self._lengths()),
             training=training,
         )
+
+    def _lengths(self) -> FloatArray:
+        return partner_lengths(self.labels[self.trained], self.partner, self.patch_scale[self.trained])
 
     def save_state(self) -> None:
         """Write all that `restore` needs, and training.csv, both whole or not at all."""

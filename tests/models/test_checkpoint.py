@@ -39,6 +39,7 @@ def checkpoint() -> Checkpoint:
         partner=(1, 0, 3, 2, 0),
         calibration=Calibration(1.5, 0.9, 27, (0.8, 0.9, 0.7, 0.6, 1.0)),
         label_offset=((0.5, -0.25), (0.0, 0.0), (0.1, 0.2), (0.0, 0.3), (1.0, 1.0)),
+        lengths=((20.0, 24.5), (20.0, 24.5), (0.0, np.inf), (31.0, 40.0), (31.0, 40.0)),
         training={"trained_on": ["v/img00001.png"], "started_from": "random"},
     )
 

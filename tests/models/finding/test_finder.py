@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from bendtrack.models.finding.calibration import Calibration
 from bendtrack.models.finding.finder import Finder
 from bendtrack.models.finding.following import CHECK_EVERY, Follower
 from bendtrack.models.finding.header import Header
-from bendtrack.models.finding.regions import WorkingRegion
+from bendtrack.models.finding.regions import WorkingRegion, partner_lengths
 from bendtrack.tracker.angle import AngleDefinition
 from bendtrack.tracker.types import Detections
 
@@ -131,6 +133,24 @@ def test_what_the_two_networks_put_far_apart_is_unlikely(header: Header) -> None
         found = Finder(FindsSpots(), refine).detect([picture(truth[0])], REGION, header.partner)
         assert (found.likelihood > 0.5).all() == likely
         assert (found.likelihood == 0).all() != likely
+
+
+def test_an_end_that_stretches_is_not_believed_and_searched(header: Header) -> None:
+    """Behind something the tip's patch takes what it sees for the tip, further and further away."""
+    truth = arms(np.full(8, 20.0))
+    lengths = partner_lengths(truth, header.partner, np.full(8, REGION.refiner_scale))
+    known = replace(header, lengths=tuple(map(tuple, lengths.tolist())))
+    frames = [picture(xy) for xy in truth]
+    away = truth[0].copy()
+    away[2] = truth[0, 1] + 2.0 * (truth[0, 2] - truth[0, 1])
+    frames[3:6] = [picture(away)] * 3
+    for own, likely in ((known, False), (header, True)):
+        found = Follower(Finder(FindsSpots(), FindsSpots()), own).detect(frames)
+        assert (found.likelihood[3:6, 2] > 0.5).all() == likely
+        assert (found.likelihood[[0, 1, 2, 6, 7]] > 0.9).all()
+    searching = Finder(FindsSpots(), FindsSpots())
+    Follower(searching, known).detect(frames)
+    assert searching.locate.shown >= 4
 
 
 def test_a_frame_is_searched_until_both_networks_are_sure(header: Header) -> None:

@@ -12,6 +12,7 @@ from bendtrack.models.finding.regions import (
     WorkingRegion,
     body_length_px,
     find_region,
+    partner_lengths,
     partners,
     working_regions,
 )
@@ -94,3 +95,9 @@ def test_each_end_is_its_own_pair_and_missing_labels_do_not_matter() -> None:
     alone = np.full((5, 2, 2), np.nan)
     alone[:2, 0], alone[2:, 1] = 10.0, 20.0
     assert list(partners(alone)) == [0, 1]
+
+
+def test_lengths_are_those_of_the_labels_in_patch_px() -> None:
+    xy = np.array([[[0, 0], [3, 4], [90, 0]], [[0, 0], [6, 8], [np.nan, np.nan]]], float)
+    lengths = partner_lengths(xy, [1, 0, 2], np.array([2.0, 1.5]))
+    assert lengths.tolist() == [[10, 15], [10, 15], [0, np.inf]]
