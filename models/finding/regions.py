@@ -29,6 +29,10 @@ cap than its width, a point in the middle of it slides along."""
 MAX_MAGNIFICATION = 1.5
 """Patches are enlarged at most so much; a camera's pixels hold nothing finer."""
 
+LEAST_CUT = 0.6
+"""Patches are cut straight from a frame down to so many patch px per px: a bilinear cut passes over little there, and
+making the frame smaller first takes four times as long."""
+
 MARGIN_SHARE = 0.2
 """Margin around the labels, as a share of their box's long side: labels never show the very extremes."""
 
@@ -58,12 +62,12 @@ class WorkingRegion:
 
     @property
     def fine_scale(self) -> float:
-        """Scale of the picture that patches are cut from: frames are made smaller beforehand, never larger."""
-        return min(1.0, self.refiner_scale)
+        """Scale of the picture that patches are cut from: a frame is made smaller beforehand where patches are much."""
+        return 1.0 if self.refiner_scale >= LEAST_CUT else self.refiner_scale
 
     @property
     def magnification(self) -> float:
-        """Patch px per px of the picture that patches are cut from, at least 1."""
+        """Patch px per px of the picture that patches are cut from, at least `LEAST_CUT`."""
         return self.refiner_scale / self.fine_scale
 
     def locator_view(self, multiple: int) -> View:
