@@ -29,11 +29,12 @@ export class Desk {
     this.#filmstrip = filmstrip;
   }
 
-  /** Open a frame. */
+  /** Open a frame; one that is open stays so, and takes clicks meanwhile. */
   async go(id) {
     const row = this.#list.get(id);
     if (!row) return;
     this.#queue.release();
+    if (id === this.#open.frame?.id && !this.#open.locked && !this.#open.isRepeat) return this.refresh(id);
     const attempt = ++this.#attempt;
     const asked = performance.now();
     this.current = id;

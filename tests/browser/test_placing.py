@@ -46,6 +46,19 @@ def test_five_frames_of_the_sample_trial(labeller, sample_truth, capsys) -> None
         )
 
 
+def test_the_open_frame_chosen_again_takes_clicks_at_once(labeller, sample_truth) -> None:
+    image = labeller.page.locator("#stage").get_attribute("data-frame").removeprefix("video/")
+    held = []
+    labeller.page.route("**/api/frames/**", lambda route: held.append(route), times=1)  # a slow server
+    labeller.open(image)
+    while not held:
+        labeller.page.wait_for_timeout(20)
+    clicked = labeller.click(sample_truth[image][0])
+    held[0].continue_()
+    labeller.saved()
+    assert labeller.xy_on_disk(image)[0] == pytest.approx(clicked, abs=0.0051)
+
+
 def test_what_is_seen_is_what_is_saved(make_desk, discs_project) -> None:
     """Where a disc is on the screen is taken from a screenshot, not from the page; on screens of both kinds."""
     project, truth = discs_project
