@@ -62,7 +62,7 @@ class WorkingRegion:
 
     @property
     def fine_scale(self) -> float:
-        """Scale of the picture that patches are cut from: a frame is made smaller beforehand where patches are much."""
+        """Scale of the picture that patches are cut from, which is made smaller first for much smaller patches."""
         return 1.0 if self.refiner_scale >= LEAST_CUT else self.refiner_scale
 
     @property

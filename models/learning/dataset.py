@@ -172,10 +172,11 @@ def refiner_batch(
         frame = frames[index]
         points = frame.fine_view.to_input(frame.xy)
         labelled: BoolArray = np.logical_not(np.isnan(points).any(axis=1))
+        directions, paired = patch_directions(points, partner), labelled[list(partner)]
         keypoints = np.flatnonzero(labelled)
         if most is not None and most < len(keypoints):
             keypoints = rng.choice(keypoints, most, replace=False)
-        middles = [_near(frame, points, k, partner, rng) for k in keypoints.tolist()]
+        middles = [_near(frame, points[k], directions[k], paired[k], rng) for k in keypoints.tolist()]
         middles += [_anywhere(frame, points[labelled], rng) for _ in range(elsewhere)]
         for middle, turn in middles:
             view = patch_view(middle, frame.region.magnification * np.exp(rng.normal(0, 0.06)), turn)
@@ -189,15 +190,18 @@ def refiner_batch(
 
 
 def _near(
-    frame: PreparedFrame, points: FloatArray, keypoint: int, partner: Sequence[int], rng: Rng
+    frame: PreparedFrame, keypoint: FloatArray, direction: float, is_paired: bool, rng: Rng
 ) -> tuple[FloatArray, float]:
-    """Middle (2,) and turn (rad) of a patch that shows a keypoint about as a locator would have it."""
-    turn = patch_directions(points, partner)[keypoint] + np.deg2rad(rng.normal(0, PATCH_TURN_DEG))
-    if np.isnan(points[partner[keypoint]]).any():
+    """Middle (2,) and turn (rad) of a patch that shows a keypoint (2,) about as a locator would have it.
+
+    direction : by which the patch is turned; is_paired : whether the keypoint's partner is labelled
+    """
+    turn = direction + np.deg2rad(rng.normal(0, PATCH_TURN_DEG))
+    if not is_paired:
         # In a video the partner is always located somewhere: a patch without it may come in any attitude.
         turn = rng.uniform(-np.pi, np.pi)
     shift = np.clip(rng.normal(0, PATCH_SHIFT_PX, size=2), -16, 16) / frame.region.magnification
-    return points[keypoint] + shift, turn
+    return keypoint + shift, turn
 
 
 def _anywhere(frame: PreparedFrame, labelled: FloatArray, rng: Rng) -> tuple[FloatArray, float]:

@@ -299,6 +299,7 @@ class _Trainer:
         own, scales = self.labels[self.trained], self.patch_scale[self.trained]
         offset = label_offset(found.xy, own, self.partner, scales)
         found = replace(found, xy=with_offset(found.xy, offset, self.partner, scales))
+        lengths = partner_lengths(own, self.partner, scales)
         held = None
         if self.held:
             held = self._detect(network, self.held)
@@ -325,12 +326,9 @@ class _Trainer:
             partner=self.partner,
             calibration=calibration,
             label_offset=tuple((float(x), float(y)) for x, y in offset),
-            lengths=tuple((float(low), float(high)) for low, high in self._lengths()),
+            lengths=tuple((float(low), float(high)) for low, high in lengths),
             training=training,
         )
-
-    def _lengths(self) -> FloatArray:
-        return partner_lengths(self.labels[self.trained], self.partner, self.patch_scale[self.trained])
 
     def save_state(self) -> None:
         """Write all that `restore` needs, and training.csv, both whole or not at all."""
