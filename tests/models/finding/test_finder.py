@@ -141,16 +141,22 @@ def test_an_end_that_stretches_is_not_believed_and_searched(header: Header) -> N
     lengths = partner_lengths(truth, header.partner, np.full(8, REGION.refiner_scale))
     known = replace(header, lengths=tuple(map(tuple, lengths.tolist())))
     frames = [picture(xy) for xy in truth]
-    away = truth[0].copy()
-    away[2] = truth[0, 1] + 2.0 * (truth[0, 2] - truth[0, 1])
-    frames[3:6] = [picture(away)] * 3
-    for own, likely in ((known, False), (header, True)):
+    for own, stretch, likely in (
+        (known, 2.0, False),
+        (known, 1.4, False),
+        (known, 1.15, True),
+        (header, 2.0, True),
+    ):
+        away = truth[0].copy()
+        away[2] = truth[0, 1] + stretch * (truth[0, 2] - truth[0, 1])
+        frames[3:6] = [picture(away)] * 3
         found = Follower(Finder(FindsSpots(), FindsSpots()), own).detect(frames)
         assert (found.likelihood[3:6, 2] > 0.5).all() == likely
         assert (found.likelihood[[0, 1, 2, 6, 7]] > 0.9).all()
-    searching = Finder(FindsSpots(), FindsSpots())
-    Follower(searching, known).detect(frames)
-    assert searching.locate.shown >= 4
+        if not likely:
+            searching = Finder(FindsSpots(), FindsSpots())
+            Follower(searching, own).detect(frames)
+            assert searching.locate.shown >= 4
 
 
 def test_a_frame_is_searched_until_both_networks_are_sure(header: Header) -> None:
