@@ -121,7 +121,7 @@ def pretrain(
     Raises
     ------
     TrainingError
-        The loss is not finite, or there is nothing fitting to resume.
+        The loss is not finite, there is nothing fitting to resume, or the network begun with has seen these pictures.
     WeightsError
         `settings.init` names no network that fits.
     """
@@ -165,6 +165,11 @@ class _Pretrainer:
             raise WeightsError(
                 f"--init: expected random, actuator, or a network with backbone {self.settings.backbone} that was"
                 f" pretrained, got {init}"
+            )
+        own = parent.training["settings"]["seed"]
+        if parent.pretrained and own in (self.settings.seed, self.settings.seed + 1):
+            raise TrainingError(
+                f"--seed: expected one whose pictures {init} has not seen, such as {own + 2}, got {self.settings.seed}"
             )
         inherit(network, KEYPOINTS, parent)
 

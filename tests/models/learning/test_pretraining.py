@@ -120,6 +120,8 @@ def test_it_goes_on_from_a_network_of_ours(tmp_path: Path) -> None:
     then = pretrain(tmp_path / "then", settings, stop_after_s=0.0)
     afresh = pretrain(tmp_path / "afresh", replace(settings, init="random"), stop_after_s=0.0)
     assert then.training["started_from"] == settings.init
+    with pytest.raises(TrainingError, match="--seed: expected one whose pictures"):
+        pretrain(tmp_path / "again", replace(settings, seed=TINY.seed))
 
     def apart(one: Checkpoint, other: Checkpoint) -> float:
         pairs = zip(one.network.parameters(), other.network.parameters(), strict=True)
