@@ -9,9 +9,10 @@ Words that looks are drawn from. The two columns never mix, in any of the four f
 has a material, a background, a shape and a clamp that pretraining has not seen.
 
     family       training                                                              held out
-    materials    translucent white, white, pigmented, dark rubber, printed, fabric     tinted translucent, speckled
+    materials    translucent white, white, pigmented, dark rubber, printed, fabric,    tinted translucent, speckled
+                 graded from one colour to another, banded
     backgrounds  plain, lined and squared paper, dark bench, wood, cutting mat,        optical table, curtain
-                 breadboard, room, studio, cluttered bench
+                 breadboard, room, studio, cluttered bench, collage
     shapes       separated, fast and smooth chambers, bellows, fibre tube, PneuFlex,   sawtooth, knuckled
                  flat strip, ribbed tentacle
     clamps       block, vice, printed holder, clip, fingers                            pipe, boss head

@@ -8,7 +8,7 @@ import numpy as np
 from ...types import FloatArray, ImageArray
 from .look import Colour, Scene
 from .noise import cut
-from .paint import Shade, axes, rectangle, solid, strokes, tone
+from .paint import Shade, axes, fixed, rectangle, solid, strokes, tone
 from .things import Painter, any_colour
 
 Size = tuple[int, int]
@@ -27,7 +27,7 @@ def background(word: str, scene: Scene, size_wh: Size) -> tuple[ImageArray, Floa
     picture = {
         "plain paper": _paper, "lined paper": _lined, "squared paper": _squared, "dark bench": _bench,
         "wood": _wood, "cutting mat": _mat, "breadboard": _holes, "optical table": _holes, "room": _room,
-        "studio": _studio, "cluttered bench": _bench, "curtain": _curtain,
+        "studio": _studio, "cluttered bench": _bench, "collage": _collage, "curtain": _curtain,
     }[word](word, scene, size_wh, rng)  # fmt: skip
     texture = cv2.addWeighted(
         cut(rng, shape, 1.0), scene.texture, cut(rng, shape, 40), 1.5 * scene.texture, 1.0
@@ -199,6 +199,42 @@ def _room(word: str, scene: Scene, size_wh: Size, rng: np.random.Generator) -> I
 
 def _studio(word: str, scene: Scene, size_wh: Size, rng: np.random.Generator) -> ImageArray:
     return _plain(scene.colour, size_wh, rng, 0.15, 2)
+
+
+def _collage(word: str, scene: Scene, size_wh: Size, rng: np.random.Generator) -> ImageArray:
+    """Shapes of any colour on each other, smooth, rough or striped: like nothing in particular."""
+    picture = _plain(scene.colour, size_wh, rng, 0.25, 3)
+    for _ in range(int(rng.integers(5, 26))):
+        reach = max(size_wh) * 0.5 ** rng.uniform(0.5, 4.5)
+        turn = np.sort(rng.uniform(0, 2 * np.pi, int(rng.integers(3, 9))))
+        radius = reach * rng.uniform(0.5, 1.0, (len(turn), 1)) * rng.uniform(0.3, 1.0, 2)
+        outline = rng.random(2) * size_wh + radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+        low = np.maximum(np.floor(outline.min(axis=0)).astype(int), 0)
+        high = np.minimum(np.ceil(outline.max(axis=0)).astype(int) + 1, size_wh)
+        if (high <= low + 1).any():
+            continue
+        part = picture[low[1] : high[1], low[0] : high[0]]
+        shape = (int(high[1] - low[1]), int(high[0] - low[0]))
+        mask = np.zeros(shape, np.uint8)
+        cv2.fillPoly(mask, [fixed(outline - low)], 255, cv2.LINE_8, 4)
+        level: FloatArray = np.ones(shape, np.float32)
+        kind = rng.random()
+        if kind < 0.4:
+            level += np.float32(rng.uniform(0.05, 0.4)) * cut(
+                rng, shape, (1.0, 2.5, 12, 24)[int(rng.integers(4))]
+            )
+        elif kind < 0.65:
+            along, _ = axes(rng.uniform(0, np.pi))
+            x, y = np.arange(shape[1], dtype=np.float32), np.arange(shape[0], dtype=np.float32)[:, None]
+            wave = np.sin(
+                (x * np.float32(along[0]) + y * np.float32(along[1])) / np.float32(rng.uniform(0.7, 6))
+            )
+            level += np.float32(rng.uniform(0.1, 0.5)) * np.sign(wave)
+        filled = cv2.merge([cv2.convertScaleAbs(level, alpha=255 * c) for c in any_colour(rng, 0.4)])
+        cv2.copyTo(filled, mask, part)
+    if rng.random() < 0.5:
+        picture = cv2.GaussianBlur(picture, (0, 0), float(rng.uniform(0.4, 3)) * _unit(size_wh))
+    return picture
 
 
 def _curtain(word: str, scene: Scene, size_wh: Size, rng: np.random.Generator) -> ImageArray:

@@ -146,6 +146,8 @@ def drawn_surface(word: str, dice: Dice) -> Surface:
         "dark rubber": (dice.near((dark, dark, 1.05 * dark)), 1.0, 0.0, 0.10, (0.05, 0.45), (6, 30), "none"),
         "printed": (dice.one_of(prints), 1.0, 0.0, 0.15, (0.0, 0.25), (6, 25), "layers"),
         "fabric": (dice.one_of(cloths), 1.0, 0.0, 0.30, (0.0, 0.02), (5, 8), "weave"),
+        "graded": (vivid, 1.0, 0.0, 0.30, (0.0, 0.4), (8, 40), "grade"),
+        "banded": (pale if vivid[0] > vivid[2] else vivid, 1.0, 0.0, 0.25, (0.0, 0.3), (8, 30), "bands"),
         "tinted translucent": (tint, clear, 0.35, 0.55, (0.2, 0.8), (20, 60), "none"),
         "speckled": (dice.near((0.45, 0.45, 0.44), 0.15), 1.0, 0.0, 0.25, (0.0, 0.3), (8, 30), "specks"),
     }[word]
@@ -179,6 +181,6 @@ def drawn_surface(word: str, dice: Dice) -> Surface:
         gloss=dice.between(*gloss),
         shininess=dice.steeply(*shininess),
         grain=dice.between(0.01, 0.06),
-        roughness=dice.between(0.0, 1.0) if pattern == "none" else 0.15,
+        roughness=0.15 if pattern in ("layers", "weave", "specks") else dice.between(0.0, 1.0),
         pattern=pattern,
     )

@@ -135,7 +135,7 @@ def coat(
     if surface.pattern == "layers":
         relief += np.float32(0.22) * np.sin(v * np.float32(2 * np.pi * max(body.half_px / 2.2, 2)))
     if surface.roughness:
-        relief += np.float32(surface.roughness) * cut(rng, grid.shape, 12 if surface.pattern == "none" else 3)
+        relief += np.float32(surface.roughness) * cut(rng, grid.shape, 3 if surface.roughness == 0.15 else 12)
 
     level, gloss = _lit(relief.astype(np.float32), s, surface, light, chain, grid.per_px)
     tone = level * _tone(body, surface, grid, edge, rng)
@@ -231,6 +231,8 @@ def _mixes(
     s, mixes = grid.s, []
     if surface.pattern == "specks":
         mixes.append((_clipped((cut(rng, grid.shape, 2.5) - 0.9) * 2.5), surface.thread_colour))
+    elif surface.pattern in ("grade", "bands"):
+        mixes.append((_along(surface.pattern, s, chain, rng, grid.shape), surface.thread_colour))
     if body.layer:
         inward = np.float32(-1 + 2 * body.layer) - grid.v
         mixes.append((_clipped(inward * np.float32(grid.per_px * body.half_px) + 0.5), surface.layer_colour))
@@ -243,6 +245,20 @@ def _mixes(
         band = _clipped(np.minimum(s - start, stop - s) * grid.per_px + 0.5)
         mixes.append(((band * 0.95)[None].astype(np.float32), surface.cap_colour))
     return mixes
+
+
+def _along(
+    pattern: str, s: FloatArray, chain: Chain, rng: np.random.Generator, shape: tuple[int, int]
+) -> FloatArray:
+    """Where a colour that changes along the body is the second one, 0 to 1, (V, U) or (1, U)."""
+    u = s / np.float32(chain.length_px)
+    if pattern == "bands":
+        middles = rng.random(int(rng.integers(1, 8)))
+        widths = rng.uniform(0.01, 0.05, len(middles))
+        near = (widths[:, None] - np.abs(u - middles[:, None])).max(axis=0)
+        return _clipped((near * 60 + 0.5).astype(np.float32))[None]
+    start, rise = rng.uniform(-0.3, 0.8), rng.choice([-1, 1]) * rng.uniform(0.8, 4)
+    return _clipped(np.float32(0.35) * cut(rng, shape, 12) + ((u - start) * rise).astype(np.float32))
 
 
 def _lit(

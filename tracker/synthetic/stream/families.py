@@ -26,10 +26,13 @@ class Words:
 
 
 TRAINING = Families(
-    materials=("translucent white", "white", "pigmented", "dark rubber", "printed", "fabric"),
+    materials=(
+        *("translucent white", "white", "pigmented", "dark rubber"),
+        *("printed", "fabric", "graded", "banded"),
+    ),
     backgrounds=(
         *("plain paper", "lined paper", "squared paper", "dark bench", "wood"),
-        *("cutting mat", "breadboard", "room", "studio", "cluttered bench"),
+        *("cutting mat", "breadboard", "room", "studio", "cluttered bench", "collage"),
     ),
     shapes=(
         *("separated chambers", "fast chambers", "smooth chambers", "bellows"),

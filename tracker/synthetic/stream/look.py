@@ -80,7 +80,7 @@ class Surface:
     wrap : how far light reaches around an edge: 0.1 rubber, 0.6 translucent silicone
     gloss, shininess : height and exponent of the highlight
     grain, roughness : of colour (relative) and of the relief (px)
-    pattern : "none", "weave", "layers" or "specks"
+    pattern : "none", "weave", "layers", "specks", "grade" or "bands"; the last three in the threads' colour
     """
 
     colour: Colour
