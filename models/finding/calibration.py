@@ -31,8 +31,8 @@ class Calibration:
 
     Attributes
     ----------
-    scale : factor on the network's own covariances, at least 1; above it when held-out labels lie further away
-        than spread, labelling error and chance explain
+    scale : factor on the network's own covariances; above 1 when held-out labels lie further away than spread,
+        labelling error and chance explain; of a pretrained network also below it, for its truth is exact and plenty
     label_sd_px : a label's own error, standard deviation of x and of y, from the trained frames' residuals
     n_labels : labels that a keypoint was learnt from
     usual_peak : for each keypoint, the median peak in labelled frames
@@ -79,6 +79,17 @@ def calibrate(
     if held is not None and held_labels is not None:
         scale = spread_scale(held, held_labels, label_sd**2 * (1 + 1 / n))
     return Calibration(scale, label_sd, n, usual_peaks(trained.likelihood, known))
+
+
+def typical_scale(found: Detections, truth: FloatArray) -> float:
+    """The factor on the network's own covariances that makes its typical distance from the exact truth likely.
+
+    truth : (N, K, 2) px, NaN where nothing is to be found
+    """
+    off = found.xy - truth
+    seen = ~np.isnan(off).any(axis=2)
+    distance2 = np.einsum("ni,nij,nj->n", off[seen], np.linalg.inv(found.covariance[seen]), off[seen])
+    return float(np.median(distance2)) / MEDIAN_CHI2
 
 
 def usual_peaks(likelihood: FloatArray, known: BoolArray) -> tuple[float, ...]:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from torch import Tensor
 
 from ...tracker.errors import LabelError
 from ...tracker.types import BoolArray, FloatArray, ImageArray, LabelledFrame
@@ -33,19 +34,19 @@ PATCH_SHIFT_PX = 4.0
 
 @dataclass(frozen=True)
 class Batch:
-    """Training pictures and their truth.
+    """Training pictures and their truth, in arrays or, where they were made on the training device, in tensors there.
 
     Attributes
     ----------
-    images : (N, 3, H, W) uint8
+    images : (N, 3, H, W) uint8, or float in [0, 255]
     xy : (N, K, 2) float32 input px
     known, present : (N, K) bool, as in `heatmaps.heatmap_loss`
     """
 
-    images: ImageArray
-    xy: FloatArray
-    known: BoolArray
-    present: BoolArray
+    images: ImageArray | Tensor
+    xy: FloatArray | Tensor
+    known: BoolArray | Tensor
+    present: BoolArray | Tensor
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import copy
 
 import torch
 from torch import Tensor
+from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from ...tracker.errors import TrainingError
 from ..heatmaps import cell_loss, heatmap_loss
@@ -28,16 +29,24 @@ class Learner:
     average : how much of the averaged weights is kept each step
     weight_decay : AdamW's
     cell_weight : of `heatmaps.cell_loss`
+    bfloat16 : whether convolutions are worked out in bfloat16; weights, losses and steps stay in float32
     """
 
     def __init__(
-        self, network: HeatmapNetwork, *, average: float, weight_decay: float, cell_weight: float = 0.0
+        self,
+        network: HeatmapNetwork,
+        *,
+        average: float,
+        weight_decay: float,
+        cell_weight: float = 0.0,
+        bfloat16: bool = False,
     ) -> None:
         self.network = network
         self.average = copy.deepcopy(network).requires_grad_(False)
         self.optimizer = torch.optim.AdamW(network.parameters(), weight_decay=weight_decay)
         self._keep = average
         self._cell_weight = cell_weight
+        self._bfloat16 = bfloat16
 
     def learn(self, batch: Batch, step: int, learning_rate: float) -> float:
         """Take step number `step`, from 0; returns the loss before it.
@@ -67,21 +76,18 @@ class Learner:
         self.optimizer.step()
         # A short memory at first, so that the average does not carry the random start along.
         keep = min(self._keep, (step + 1) / (step + 10))
-        for mean, value in zip(
-            self.average.state_dict().values(), self.network.state_dict().values(), strict=True
-        ):
-            if mean.dtype.is_floating_point:
-                mean.lerp_(value, 1 - keep)
-            else:
-                mean.copy_(value)
+        pairs = zip(self.average.state_dict().values(), self.network.state_dict().values(), strict=True)
+        means, values = zip(*((m, v) for m, v in pairs if m.dtype.is_floating_point), strict=True)
+        get_ema_multi_avg_fn(keep)(means, values, step)
         return float(loss.detach())
 
     def _loss(self, batch: Batch) -> Tensor:
         device = self.network.mean.device
         images, xy, known, present = (
-            torch.from_numpy(part).to(device) for part in (batch.images, batch.xy, batch.known, batch.present)
+            torch.as_tensor(part).to(device) for part in (batch.images, batch.xy, batch.known, batch.present)
         )
-        maps = self.network(images)
+        with torch.autocast(device.type, torch.bfloat16, enabled=self._bfloat16):
+            maps = self.network(images)
         losses = heatmap_loss(maps, xy, known, present)
         loss = losses["heat"] + losses["offset"] + SPREAD_WEIGHT * losses["spread"]
         return loss + self._cell_weight * cell_loss(maps, xy, known, present) if self._cell_weight else loss

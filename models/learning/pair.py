@@ -22,7 +22,7 @@ class Pair:
     Parameters
     ----------
     network : with the weights to start from, on the device to train on
-    average, weight_decay, cell_weight : as `Learner`'s
+    average, weight_decay, cell_weight, bfloat16 : as `Learner`'s
 
     Attributes
     ----------
@@ -31,10 +31,18 @@ class Pair:
     """
 
     def __init__(
-        self, network: Cascade, *, average: float, weight_decay: float, cell_weight: float = 0.0
+        self,
+        network: Cascade,
+        *,
+        average: float,
+        weight_decay: float,
+        cell_weight: float = 0.0,
+        bfloat16: bool = False,
     ) -> None:
         locator, refiner = (
-            Learner(part, average=average, weight_decay=weight_decay, cell_weight=cell_weight)
+            Learner(
+                part, average=average, weight_decay=weight_decay, cell_weight=cell_weight, bfloat16=bfloat16
+            )
             for part in (network.locator, network.refiner)
         )
         self.learners = {"locator": locator, "refiner": refiner}

@@ -1,8 +1,8 @@
 """Pretraining: both networks learn the canonical points of actuators in general, from rendered ones without end.
 
-Runs for hours beside other work, can be stopped at any time and goes on where it was. The result is a checkpoint like
-any other: a start for `training.py`, and what finds an actuator that nobody has labelled. Pictures come from
-`rendered.py`.
+Runs for hours beside other work, or minutes where there is a GPU, can be stopped at any time and goes on where it was.
+The result is a checkpoint like any other: a start for `training.py`, and what finds an actuator that nobody has
+labelled. Pictures come from `rendered.py`, batches of them from `picture_pool.py`.
 """
 
 from __future__ import annotations
@@ -12,38 +12,41 @@ import json
 import math
 import multiprocessing
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import torch
+from torch.nn.utils import convert_conv2d_weight_memory_format
 
 from ...tracker.angle import AngleDefinition
 from ...tracker.errors import TrainingError, WeightsError
 from ...tracker.synthetic.stream import KEYPOINTS, Sample
-from ...tracker.types import Detections, FloatArray
+from ...tracker.types import BoolArray, Detections, FloatArray
 from ..cascade import Cascade
 from ..checkpoint import Checkpoint, best_device
-from ..finding.calibration import Calibration, spread_scale, usual_peaks
+from ..finding.calibration import Calibration, typical_scale, usual_peaks
 from ..finding.finder import joined
 from ..finding.regions import WorkingRegion
-from .dataset import Batch, PreparedFrame
+from .dataset import PreparedFrame
 from .inheritance import ENDS, inherit, parent_of
 from .pair import Pair
+from .picture_pool import PicturePool
 from .pretraining_figure import write_curve
-from .rendered import LOCATOR_INPUT, PARTNER, PICTURE_WH, rendered_batches, rendered_samples
+from .rendered import LOCATOR_INPUT, PARTNER, PICTURE_WH, Rendered, rendered_pictures, rendered_samples
 from .schedule import Schedule
 from .settings import check_counts, check_start
 from .training import Progress
 from .training_state import STATE_FILE, TrainingState, load_state, save_state, write_rows
 
-EVALUATE_EVERY = 250
-"""Steps between looks at pictures that are not trained on; each is also where the state is saved."""
+AHEAD = 4
+"""Steps for which each process that draws has pictures ready."""
 
 FOUND_SHARE = 0.05
 """A keypoint counts as found within so much of the body's length."""
@@ -57,10 +60,12 @@ class PretrainingSettings:
     ----------
     backbone : a key of `network.BACKBONES`
     steps : training steps; a pretraining that is resumed may be given more
-    pictures : new pictures in a step
-    crops : of each picture, for the locator; a picture takes as long to draw as two crops to learn from
-    patches : of each picture, for the refiner
+    pictures : new ones in a step
+    pool : the latest pictures, so many, that are learnt from
+    batch : of these, so many in a step, the new ones among them; each gives the locator a crop
+    patches : of each, for the refiner
     judged : pictures that are not trained on, to judge by
+    judge_every : steps between looks at those; each is also where the state is saved
     learning_rate, weight_decay : AdamW's
     decay_share : share of the steps in which the learning rate falls to zero
     cell_weight : `Learner`'s
@@ -73,9 +78,11 @@ class PretrainingSettings:
     backbone: str = "resnet18"
     steps: int = 30_000
     pictures: int = 16
-    crops: int = 2
-    patches: int = 4
+    pool: int = 4096
+    batch: int = 32
+    patches: int = 2
     judged: int = 128
+    judge_every: int = 250
     learning_rate: float = 2e-3
     weight_decay: float = 1e-2
     decay_share: float = 0.4
@@ -86,13 +93,18 @@ class PretrainingSettings:
 
     def __post_init__(self) -> None:
         check_start(self.backbone, self.seed)
-        check_counts(steps=self.steps, pictures=self.pictures, crops=self.crops)
-        check_counts(patches=self.patches, judged=self.judged)
+        check_counts(steps=self.steps, pictures=self.pictures, pool=self.pool, batch=self.batch)
+        check_counts(patches=self.patches, judged=self.judged, judge_every=self.judge_every)
+        if not self.pictures <= self.batch <= self.pool:
+            raise TrainingError(
+                f"expected pictures <= batch <= pool, got {self.pictures}, {self.batch}, {self.pool}"
+            )
 
     @property
     def identity(self) -> str:
         """Hash of what a resumed pretraining must have in common with the stopped one: all but its length."""
-        settings = {k: v for k, v in asdict(self).items() if k not in ("steps", "decay_share", "judged")}
+        free = ("steps", "decay_share", "judged", "judge_every")
+        settings = {k: v for k, v in asdict(self).items() if k not in free}
         return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
 
 
@@ -102,6 +114,8 @@ def pretrain(
     *,
     resume: bool = False,
     stop_after_s: float | None = None,
+    max_s: float | None = None,
+    workers: int = 1,
     progress: Callable[[Progress], None] | None = None,
 ) -> Checkpoint:
     """Pretrain a cascade on rendered actuators and save it in `folder`.
@@ -112,6 +126,8 @@ def pretrain(
         left, the state
     resume : go on from the state in `folder`
     stop_after_s : stop then, in the middle of the schedule; what is there is saved, and so is the state
+    max_s : the schedule is shortened to end by then, counted from the first step
+    workers : processes that draw pictures
 
     Returns
     -------
@@ -128,7 +144,7 @@ def pretrain(
     pretrainer = _Pretrainer(Path(folder), settings or PretrainingSettings(), resume)
     if resume:
         pretrainer.restore()
-    pretrainer.run(stop_after_s, progress)
+    pretrainer.run(stop_after_s, max_s, workers, progress)
     checkpoint = pretrainer.finish()
     checkpoint.save(Path(folder), half=True)
     write_curve(pretrainer.rows, Path(folder))
@@ -143,15 +159,17 @@ class _Pretrainer:
     def __init__(self, folder: Path, settings: PretrainingSettings, resume: bool) -> None:
         self.folder, self.settings = folder, settings
         self.state_file = folder / STATE_FILE
+        self.device = best_device()
         torch.manual_seed(settings.seed)
         network = Cascade(settings.backbone, len(KEYPOINTS))
         if settings.init != "random" and not resume:  # what is resumed has its weights
             self._start_from(network)
         self.pair = Pair(
-            network.to(best_device()),
+            convert_conv2d_weight_memory_format(network.to(self.device), torch.channels_last),
             average=settings.average,
             weight_decay=settings.weight_decay,
             cell_weight=settings.cell_weight,
+            bfloat16=has_bfloat16(self.device),
         )
         self.schedule = Schedule(settings.steps, settings.decay_share, warmup=200)
         self.step, self.elapsed_s = 0, 0.0
@@ -173,20 +191,41 @@ class _Pretrainer:
             )
         inherit(network, KEYPOINTS, parent)
 
-    def run(self, stop_after_s: float | None, progress: Callable[[Progress], None] | None) -> None:
+    def run(
+        self,
+        stop_after_s: float | None,
+        max_s: float | None,
+        workers: int,
+        progress: Callable[[Progress], None] | None,
+    ) -> None:
         """Train until the schedule ends, or until it is time to stop."""
-        begun = time.monotonic() - self.elapsed_s
+        settings = self.settings
+        # As many as a batch takes are there at first; of a pretraining that goes on, all that were still there.
+        count = settings.batch + self.step * settings.pictures
+        pool = PicturePool(settings.pool, self.device)
+        pool.seen = first = max(count - settings.pool, 0)
         stop_s = math.inf if stop_after_s is None else self.elapsed_s + stop_after_s
-        with _drawn(self.settings, self.step) as batches, self.pair:
-            over = self.step >= self.schedule.total
+        over = self.step >= self.schedule.total
+        with (
+            _drawn(settings, first, count, workers) as drawn,
+            self.pair,
+            torch.backends.cudnn.flags(enabled=True, benchmark=True),
+        ):
+            while pool.seen < count:
+                pool.add(next(drawn))
+            begun = time.monotonic() - self.elapsed_s
             while not over:
-                locate, refine = next(batches)
-                rate = self.settings.learning_rate * self.schedule.factor(self.step)
+                rng = np.random.default_rng([settings.seed, 8, self.step])
+                locate, refine = pool.batches(settings.batch, settings.pictures, settings.patches, rng)
+                rate = settings.learning_rate * self.schedule.factor(self.step)
                 loss = self.pair.learn(locate, [refine], self.step, rate)
                 self.step += 1
+                pool.add(next(drawn))
                 self.elapsed_s = time.monotonic() - begun
+                if max_s is not None and self.step >= 100:
+                    self.schedule.fit(self.step, self.elapsed_s, max_s)
                 over = self.step == self.schedule.total or self.elapsed_s >= stop_s
-                if self.step % EVALUATE_EVERY == 0 or over:
+                if self.step % settings.judge_every == 0 or over:
                     self._evaluate(loss, rate)
                     self.elapsed_s = time.monotonic() - begun
                     self.save_state()
@@ -214,8 +253,7 @@ class _Pretrainer:
     def finish(self) -> Checkpoint:
         """The averaged networks as a checkpoint."""
         network = self.pair.average
-        found, truth = _found(network, self.judged)
-        known = np.logical_not(np.isnan(truth).any(axis=2))
+        found, known = _found(network, self.judged)
         peaks = usual_peaks(found.likelihood, known)
         width, height = PICTURE_WH
         # Where and at which scales to look is found anew for every video; this is what the networks have seen.
@@ -228,18 +266,28 @@ class _Pretrainer:
             definition=AngleDefinition("two-vector", ENDS),
             regions=(region,),
             partner=PARTNER,
-            # The truth is exact: all that is off is the networks'.
-            calibration=Calibration(spread_scale(found, truth, 0.0), 0.0, 1, peaks),
+            calibration=Calibration(self._spread_scale(), 0.0, 1, peaks),
             training={
                 "settings": asdict(self.settings),
                 "started_from": self.settings.init,
                 "steps": self.step,
                 "steps_planned": self.schedule.total,
-                "pictures": self.step * self.settings.pictures,
+                "pictures": self.settings.batch + self.step * self.settings.pictures,
                 "minutes": round(self.elapsed_s / 60, 2),
                 "judged": self.rows[-1],
             },
         )
+
+    def _spread_scale(self) -> float:
+        """How uncertain the ends are, seen from near where they are: what lies elsewhere altogether is not a spread."""
+        finder = self.pair.average.finder()
+        ends = [KEYPOINTS.index(name) for name in ENDS]
+        near = joined(
+            [finder.refined(s.picture[None], f.xy[None], f.region, PARTNER) for s, f in self.judged]
+        )
+        truth = np.stack([np.where(s.visible[:, None], f.xy, np.nan) for s, f in self.judged])
+        found = Detections(near.xy[:, ends], near.likelihood[:, ends], near.covariance[:, ends])
+        return typical_scale(found, truth[:, ends])
 
     def save_state(self) -> None:
         """Write all that `restore` needs, and training.csv."""
@@ -266,30 +314,43 @@ class _Pretrainer:
         self.step, self.elapsed_s, self.rows = state.step, state.elapsed_s, state.rows
 
 
+def has_bfloat16(device: torch.device) -> bool:
+    """Whether a device multiplies numbers in bfloat16 faster than in float32."""
+    if device.type == "cuda":
+        return torch.cuda.is_bf16_supported(including_emulation=False)
+    if not hasattr(torch.cpu, "get_capabilities"):  # torch before 2.8
+        return False
+    return bool(torch.cpu.get_capabilities().get("avx512_bf16", False))
+
+
 @contextmanager
-def _drawn(settings: PretrainingSettings, first: int) -> Iterator[Iterator[tuple[Batch, Batch]]]:
-    """The batches of every step from `first` on, drawn ahead in a process of their own."""
+def _drawn(
+    settings: PretrainingSettings, first: int, count: int, workers: int
+) -> Iterator[Iterator[Rendered]]:
+    """The stream's pictures from number `first` on, drawn ahead by processes, as many at a time as a step takes in; one
+    time ends with number `count`."""
 
-    per_step = settings.pictures, settings.crops, settings.patches
-
-    def ask(step: int) -> Any:
-        return pool.submit(rendered_batches, settings.seed, step, *per_step)
-
-    def batches() -> Iterator[tuple[Batch, Batch]]:
-        ahead = [ask(first), ask(first + 1)]
-        step = first + 2
+    def numbers() -> Iterator[range]:
+        start, stop = first, first + ((count - first) % settings.pictures or settings.pictures)
         while True:
-            drawn = ahead.pop(0).result()
-            ahead.append(ask(step))
-            step += 1
-            yield drawn
+            yield range(start, stop)
+            start, stop = stop, stop + settings.pictures
 
+    def pictures() -> Iterator[Rendered]:
+        asked = (pool.submit(rendered_pictures, settings.seed, indices) for indices in numbers())
+        ahead = deque(islice(asked, AHEAD * workers))
+        while True:
+            yield ahead.popleft().result()
+            ahead.append(next(asked))
+
+    # Not torch's loader: its handler of SIGCHLD and the large frames of processors with AMX do not go together with the
+    # small signal stacks that some libraries set.
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(
-        max_workers=1, mp_context=context, initializer=cv2.setNumThreads, initargs=(1,)
+        max_workers=workers, mp_context=context, initializer=cv2.setNumThreads, initargs=(1,)
     )
     try:
-        yield batches()
+        yield pictures()
     finally:
         pool.shutdown(cancel_futures=True)
 
@@ -310,9 +371,8 @@ def _judge(network: Cascade, judged: list[tuple[Sample, PreparedFrame]]) -> tupl
     return np.concatenate(located), np.concatenate(refined)
 
 
-def _found(network: Cascade, judged: list[tuple[Sample, PreparedFrame]]) -> tuple[Detections, FloatArray]:
-    """What both networks together find in pictures, and the truth (N, K, 2), NaN where it cannot be seen."""
+def _found(network: Cascade, judged: list[tuple[Sample, PreparedFrame]]) -> tuple[Detections, BoolArray]:
+    """What both networks together find in pictures, and which keypoints (N, K) can be seen."""
     finder = network.finder()
     found = joined([finder.detect(sample.picture[None], frame.region, PARTNER) for sample, frame in judged])
-    truth = np.stack([np.where(sample.visible[:, None], frame.xy, np.nan) for sample, frame in judged])
-    return found, truth
+    return found, np.stack([sample.visible for sample, _ in judged])

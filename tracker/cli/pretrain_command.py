@@ -22,6 +22,28 @@ def pretrain(
     stop_after: Annotated[
         float | None, typer.Option(help="Stop after so many minutes; --resume goes on.", metavar="MINUTES")
     ] = None,
+    max_minutes: Annotated[
+        float | None,
+        typer.Option(
+            help="The learning rate falls so that all ends by then, after fewer steps.", metavar="MINUTES"
+        ),
+    ] = None,
+    pictures: Annotated[
+        int | None, typer.Option(help="New ones in a step.", show_default="16", metavar="N")
+    ] = None,
+    batch: Annotated[
+        int | None,
+        typer.Option(
+            help="Pictures learnt from in a step, new and kept ones.", show_default="32", metavar="N"
+        ),
+    ] = None,
+    pool: Annotated[
+        int | None,
+        typer.Option(help="Pictures that are kept, 0.3 MB each.", show_default="4096", metavar="N"),
+    ] = None,
+    workers: Annotated[
+        int, typer.Option(help="Processes that draw pictures, about 100 a second each.", metavar="N")
+    ] = 1,
     init: Annotated[
         str, typer.Option(help="random, actuator (what comes with bendtrack), or a pretrained network.")
     ] = "random",
@@ -32,8 +54,8 @@ def pretrain(
 ) -> None:
     """Teach a network actuators in general, from rendered ones.
 
-    Many hours on two cores; can be stopped at any time. `train --init OUT/weights.safetensors`
-    starts from what came of it, finished or not.
+    Many hours on two cores, minutes on a GPU with many; can be stopped at any time.
+    `train --init OUT/weights.safetensors` starts from what came of it, finished or not.
     """
     from ...models.finding.header import WEIGHTS_FILE
     from ...models.learning.pretraining import PretrainingSettings
@@ -47,13 +69,24 @@ def pretrain(
         )
     if not resume and (out / WEIGHTS_FILE).is_file():
         raise TrainingError(f"expected a folder without a network, got one in {out}")
-    given = {} if steps is None else {"steps": steps}
+    asked = {"steps": steps, "pictures": pictures, "batch": batch, "pool": pool}
+    given = {name: number for name, number in asked.items() if number is not None}
     settings = PretrainingSettings(backbone=backbone, seed=seed, init=init, **given)
     remove_leftovers(out)
     talk.say(f"{'Going on' if resume else 'Beginning'} in {out}: {settings.steps} steps in all, {backbone}")
     with progress_bars.training(out.name) as progress:
-        stop_after_s = None if stop_after is None else 60 * stop_after
-        checkpoint = run(out, settings, resume=resume, stop_after_s=stop_after_s, progress=progress)
+        stop_after_s, max_s = (
+            None if minutes is None else 60 * minutes for minutes in (stop_after, max_minutes)
+        )
+        checkpoint = run(
+            out,
+            settings,
+            resume=resume,
+            stop_after_s=stop_after_s,
+            max_s=max_s,
+            workers=workers,
+            progress=progress,
+        )
     facts = checkpoint.training
     judged = facts["judged"]
     talk.say(

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bendtrack.models.finding.calibration import Calibration, calibrate
+from bendtrack.models.finding.calibration import Calibration, calibrate, typical_scale
 from bendtrack.tracker.types import Detections
 
 
@@ -79,3 +79,17 @@ def test_likelihood_is_the_share_of_the_usual_peak() -> None:
     np.testing.assert_allclose(seen, [0.8, 0.4 / 0.9, 0.5, 1.0])
     unlearnt = found.apply(replace(trained, likelihood=peaks)).likelihood[1, 3]
     assert unlearnt == pytest.approx(0.25), "a keypoint that is never seen well is never likely"
+
+
+def test_the_typical_scale_is_found_below_and_above_one() -> None:
+    rng = np.random.default_rng(5)
+    truth = rng.uniform(0, 100, (400, 3, 2))
+    truth[::7, 1] = np.nan
+    for sd in (0.5, 3.0):
+        found = Detections(
+            np.nan_to_num(truth) + rng.normal(0, sd, truth.shape),
+            np.ones((400, 3)),
+            np.tile(np.eye(2), (400, 3, 1, 1)),
+        )
+        found.xy[::10] += 500.0  # elsewhere altogether: not a spread
+        assert typical_scale(found, truth) == pytest.approx(sd**2, rel=0.3)

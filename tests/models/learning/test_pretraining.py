@@ -13,44 +13,21 @@ import torch
 from bendtrack.models.checkpoint import Checkpoint, load_checkpoint
 from bendtrack.models.engine import build_beside
 from bendtrack.models.finding.header import WEIGHTS_FILE
-from bendtrack.models.finding.regions import patch_directions
 from bendtrack.models.learning.pretraining import PretrainingSettings, pretrain
-from bendtrack.models.learning.rendered import PARTNER, prepared_sample, rendered_batches
+from bendtrack.models.learning.rendered import PARTNER, rendered_samples
 from bendtrack.models.learning.training_state import STATE_FILE
 from bendtrack.tracker.angle import bending_angle
 from bendtrack.tracker.errors import TrainingError, WeightsError
 from bendtrack.tracker.synthetic.stream import KEYPOINTS, draw
 
-TINY = PretrainingSettings(steps=4, pictures=2, patches=2, judged=2)
+TINY = PretrainingSettings(steps=4, pictures=2, pool=6, batch=4, patches=2, judged=2)
 
 
 def test_a_sample_is_a_frame_whose_hidden_points_are_known_to_be() -> None:
-    for index in range(200):
-        sample = draw(3, index)
-        if not sample.visible.all():
-            break
-    frame = prepared_sample(sample, np.random.default_rng(0))
+    sample, frame = next(pair for pair in rendered_samples(3, range(200)) if not pair[0].visible.all())
     np.testing.assert_array_equal(frame.in_sight, sample.visible)
     np.testing.assert_array_equal(frame.xy, sample.keypoints_xy)
     assert not frame.in_sight.all()
-
-
-def test_batches_show_where_the_points_are() -> None:
-    locate, refine = rendered_batches(5, 2, 6, 2, 3)
-    assert locate.images.shape == (12, 3, 96, 96)
-    assert refine.images.shape == (18, 3, 64, 64)
-    assert locate.known.all()
-    assert refine.known.all()
-    # A patch is cut around a keypoint, so one of them is near its middle, and its partner gives the direction.
-    distance = np.linalg.norm(refine.xy - 31.5, axis=2)
-    nearest = distance.argmin(axis=1)
-    assert distance.min(axis=1).max() < 24
-    turn = np.degrees([patch_directions(xy, PARTNER)[k] for xy, k in zip(refine.xy, nearest, strict=True)])
-    assert np.median(np.abs(turn)) < 20
-    again = rendered_batches(5, 2, 6, 2, 3)
-    np.testing.assert_array_equal(again[0].images, locate.images)
-    other = rendered_batches(5, 3, 6, 2, 3)
-    assert (other[0].images != locate.images).any()
 
 
 def test_partners_are_neighbours() -> None:
@@ -62,7 +39,7 @@ def test_partners_are_neighbours() -> None:
 @pytest.mark.slow
 def test_both_networks_learn(tmp_path: Path) -> None:
     seen = []
-    settings = PretrainingSettings(steps=120, pictures=6, patches=3, judged=24, average=0.9)
+    settings = PretrainingSettings(steps=120, pictures=6, batch=12, judged=24, average=0.9)
     first = pretrain(tmp_path / "first", replace(settings, steps=1)).training["judged"]
     last = pretrain(tmp_path / "last", settings, progress=seen.append).training["judged"]
     assert len(seen) == 120
@@ -135,7 +112,10 @@ def test_it_goes_on_from_a_network_of_ours(tmp_path: Path) -> None:
         pretrain(tmp_path / "other", settings)
 
 
-@pytest.mark.parametrize("wrong", [{"steps": 0}, {"pictures": 0}, {"backbone": "resnet9"}, {"seed": -1}])
+@pytest.mark.parametrize(
+    "wrong",
+    [{"steps": 0}, {"pictures": 0}, {"backbone": "resnet9"}, {"seed": -1}, {"batch": 8}, {"pool": 20}],
+)
 def test_settings_that_mean_nothing_are_refused(wrong: dict) -> None:
     with pytest.raises(TrainingError, match="expected"):
         PretrainingSettings(**wrong)
@@ -146,7 +126,7 @@ def test_the_command_stops_and_goes_on(bendtrack, tmp_path: Path) -> None:
     out = tmp_path / "actuators"
     ran = bendtrack("pretrain", out, "--steps", "2", "--stop-after", "0")
     assert (ran.status, ran.err) == (0, "")
-    assert "1 of 2 steps, 16 pictures" in ran.out
+    assert "1 of 2 steps, 48 pictures" in ran.out
     ran = bendtrack("pretrain", out, "--steps", "2")
     assert ran.status == 2
     assert "add --resume" in ran.err
