@@ -9,6 +9,7 @@ import math
 import os
 import shutil
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from .compiled import ENGINES, compiled_finder, engine_record
 from .finding.finder import Finder
 from .finding.following import Follower
 from .finding.header import Header, read_header, weights_file
+from .finding.mirrored import MirroredReader
 from .finding.regions import WorkingRegion
 from .finding.sighting import sight
 
@@ -57,7 +59,7 @@ class NetworkDetector:
         engine: str,
         device: str,
         workers: int = 1,
-        doubted: Callable[[Detections], Detections] | None = None,
+        told: Callable[[Detections], Detections] | None = None,
     ) -> None:
         self.name = name
         self.header = header
@@ -66,7 +68,7 @@ class NetworkDetector:
         self.device = device
         self._finder = finder
         self._workers = workers
-        self._doubted = doubted
+        self._told = told
 
     @classmethod
     def load(
@@ -155,9 +157,9 @@ class NetworkDetector:
         return self.believed(self._finder.detect(frames, region, self.header.partner), region)
 
     def believed(self, found: Detections, region: WorkingRegion) -> Detections:
-        """What the networks found in frames of a region, calibrated, and doubted where a video says so."""
+        """What the networks found in frames of a region, calibrated, and what a video tells besides."""
         found = self.header.calibrated(found, region)
-        return found if self._doubted is None else self._doubted(found)
+        return found if self._told is None else self._told(found)
 
     def for_video(self, glimpses: Frames) -> NetworkDetector:
         """This network for one video in which nobody has labelled anything, from frames spread over it.
@@ -167,7 +169,8 @@ class NetworkDetector:
         VideoError
             No actuator can be seen.
         """
-        seen = sight(glimpses, self.header, self._finder)
+        both_ways = replace(self._finder, refine=MirroredReader(self._finder.refine))
+        seen = sight(glimpses, self.header, both_ways)
         return NetworkDetector(
             self.name,
             seen.header,
@@ -176,7 +179,7 @@ class NetworkDetector:
             engine=self.engine,
             device=self.device,
             workers=self._workers,
-            doubted=seen.doubted,
+            told=seen.believed,
         )
 
     @property

@@ -1,8 +1,8 @@
 """Finding an actuator that nobody has labelled: where in a video it is, how large, and which of its ends is fixed.
 
 A network that knows actuators in general (`pretraining.py`) finds canonical points in single pictures. A video tells
-more: the fixed end is the one that does not move, and the actuator is the same one all the time. What comes out is a
-header for this video, with which the network is put to work like any other.
+more: the fixed end is the one that does not move, so it is where all glimpses together say, and the actuator is the
+same one all the time. What comes out is a header for this video, with which the network is put to work like any other.
 """
 
 from __future__ import annotations
@@ -35,8 +35,9 @@ LEAST_SEEN = 0.3
 HELD_SHARE = 0.1
 """The fixed end is found where it is held, within so much of the body's length."""
 
-ALIKE_SHARE = 0.3
-"""How far an end's length may be from its usual one, as a share of that: ends do not stretch, but may turn away."""
+SHORTEST, LONGEST = 0.5, 2.0
+"""How long the moving end may be, as a share of its usual length: it does not stretch, but may turn away, and where a
+smooth body begins to bend is hard to see, which does not matter to its direction."""
 
 LEAST_SAME = 0.6
 """Share of the glimpses that must show the same actuator, or the angles would be mostly guessed."""
@@ -53,19 +54,28 @@ class Sighting:
     ----------
     header : the network's for this video: region, and the angle's sign
     finder : knows where the fixed end is, and the body's length
-    ends_px : (2,) px, lengths of the fixed and the moving end, which a bend does not change
+    fixed : the fixed end's points (1, 2), calibrated
+    end_px : length of the moving end
     seen : share of the glimpses in which the actuator was seen, held where it is in the others and of one shape
     """
 
     header: Header
     finder: HeldFinder
-    ends_px: FloatArray
+    fixed: Detections
+    end_px: float
     seen: float
 
-    def doubted(self, found: Detections) -> Detections:
-        """What was found in frames of the video; nothing is believed of a frame that shows another actuator."""
-        same = _same(found.xy, self.finder.fixed_xy, self.finder.body_px, self.ends_px)
-        return replace(found, likelihood=np.where(same[:, None], found.likelihood, 0.0))
+    def believed(self, found: Detections) -> Detections:
+        """What was found in frames of the video, with the fixed end where it rests.
+
+        Nothing is believed of a frame that shows another actuator.
+        """
+        same = _same(found.xy, self.finder.fixed_xy, self.finder.body_px, self.end_px)
+        two = self.fixed.likelihood.shape[1]
+        xy, likelihood, covariance = found.xy.copy(), found.likelihood.copy(), found.covariance.copy()
+        xy[:, :two], likelihood[:, :two] = self.fixed.xy, self.fixed.likelihood
+        covariance[:, :two] = self.fixed.covariance
+        return Detections(xy, np.where(same[:, None], likelihood, 0.0), covariance)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,32 +141,45 @@ def sight(glimpses: Frames, header: Header, finder: Finder) -> Sighting:
         xy = _seen(best)
         best = look_again(_fitting_region(xy, (w, h)), best.fixed_xy, body_length_px(xy))
     body_px = body_length_px(_seen(best))
-    xy = finder.refined(glimpses, best.xy, best.region, header.partner).xy
+    found = finder.refined(glimpses, best.xy, best.region, header.partner)
+    xy = found.xy
     fixed_xy = np.median(xy[best.sound, 0], axis=0)
-    ends_px = np.median(_ends_px(xy[best.sound]), axis=0)
-    same = best.sound & _same(xy, fixed_xy, body_px, ends_px)
+    end_px = float(np.median(_end_px(xy[best.sound])))
+    same = best.sound & _same(xy, fixed_xy, body_px, end_px)
     if same.mean() < LEAST_SAME:
         raise VideoError(
-            f"expected an actuator whose ends keep their lengths, got one in {100 * same.mean():.0f} % of the frames"
-            " looked at; label some frames: `bendtrack new`"
+            f"expected an actuator whose moving end keeps its length, got one in {100 * same.mean():.0f} % of the"
+            " frames looked at; label some frames: `bendtrack new`"
         )
     angle_deg, _, _ = bending_angle(xy[same], header.keypoints, replace(header.definition, sign=1))
     definition = replace(header.definition, sign=-1 if np.nansum(angle_deg) < 0 else 1)
     header = replace(header, regions=(best.region,), definition=definition)
     parts = finder.locate, finder.refine, finder.peaks
     knowing = HeldFinder(*parts, fixed_xy=fixed_xy, body_px=body_px, calibration=header.calibration)
-    return Sighting(header, knowing, ends_px, float(same.mean()))
+    return Sighting(
+        header, knowing, _resting(header.calibration.apply(found), same), end_px, float(same.mean())
+    )
 
 
-def _ends_px(xy: FloatArray) -> FloatArray:
-    """Lengths (N, 2) px of the fixed and the moving end of chains (N, K, 2) px."""
-    return np.linalg.norm(xy[:, [1, -1]] - xy[:, [0, -2]], axis=2)
+def _resting(found: Detections, same: BoolArray) -> Detections:
+    """The fixed end's two points (1, 2), as the glimpses (N,) that count say together; as likely as these are many.
+
+    They err alike, so what all say is hardly more exact than what one says.
+    """
+    xy, covariance = (np.median(part[same, :2], axis=0)[None] for part in (found.xy, found.covariance))
+    return Detections(xy, np.full((1, 2), same.mean()), covariance)
 
 
-def _same(xy: FloatArray, fixed_xy: FloatArray, body_px: float, ends_px: FloatArray) -> BoolArray:
-    """Frames (N,) in which chains (N, K, 2) px are held at the fixed end and have ends of the right lengths."""
-    alike = np.abs(_ends_px(xy) - ends_px) <= ALIKE_SHARE * ends_px
-    return np.asarray(_held(xy, fixed_xy, body_px) & alike.all(axis=1))
+def _end_px(xy: FloatArray) -> FloatArray:
+    """Length (N,) px of the moving end of chains (N, K, 2) px."""
+    return np.asarray(np.linalg.norm(xy[:, -1] - xy[:, -2], axis=1))
+
+
+def _same(xy: FloatArray, fixed_xy: FloatArray, body_px: float, end_px: float) -> BoolArray:
+    """Frames (N,) in which chains (N, K, 2) px are held at the fixed end and have a moving end of the right length."""
+    length = _end_px(xy)
+    alike = (length >= SHORTEST * end_px) & (length <= LONGEST * end_px)
+    return np.asarray(_held(xy, fixed_xy, body_px) & alike)
 
 
 def _held(xy: FloatArray, fixed_xy: FloatArray, body_px: float) -> BoolArray:

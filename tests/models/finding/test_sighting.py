@@ -150,7 +150,7 @@ def test_ends_that_change_their_length_are_not_those_of_one_actuator() -> None:
     xy = arms()
     xy[:13, 3] = xy[:13, 2] + 2.5 * (xy[:13, 3] - xy[:13, 2])
     with pytest.raises(
-        VideoError, match="expected an actuator whose ends keep their lengths, got one in 57 %"
+        VideoError, match="expected an actuator whose moving end keeps its length, got one in 57 %"
     ):
         sight(glimpses(30), HEADER, Oracle(xy, np.full((30, 4), 0.6)))
 
@@ -158,9 +158,18 @@ def test_ends_that_change_their_length_are_not_those_of_one_actuator() -> None:
 def test_nothing_is_believed_of_a_frame_with_another_shape() -> None:
     truth = arms()
     seen = sight(glimpses(30), HEADER, Oracle(truth, np.full((30, 4), 0.6)))
-    np.testing.assert_allclose(seen.ends_px, 30, atol=2)
+    assert seen.end_px == pytest.approx(30, abs=2)
     strange = truth[[5, 6, 7]].copy()
     strange[1, 3] = strange[1, 2]  # both points of the tip at one place
     strange[2] += 60  # not where it is held
-    found = seen.doubted(Detections(strange, np.full((3, 4), 0.9), np.zeros((3, 4, 2, 2))))
+    found = seen.believed(Detections(strange, np.full((3, 4), 0.9), np.zeros((3, 4, 2, 2))))
     assert found.likelihood.min(axis=1).tolist() == [0.9, 0.0, 0.0]
+
+
+def test_the_fixed_end_is_where_it_rests_whatever_one_frame_says() -> None:
+    truth = arms()
+    seen = sight(glimpses(30), HEADER, Oracle(truth, np.full((30, 4), 0.6), noise_px=2.0))
+    once = truth[:1] + np.array([0.0, 6.0])
+    found = seen.believed(Detections(once, np.full((1, 4), 0.9), np.zeros((1, 4, 2, 2))))
+    np.testing.assert_allclose(found.xy[0, :2], truth[0, :2], atol=1.5)
+    np.testing.assert_array_equal(found.xy[0, 2:], once[0, 2:])
