@@ -20,7 +20,7 @@ ENGINES = ("openvino-int8", "openvino")
 
 PARTS = ("locator", "refiner")
 RECORD = "engine.json"
-FORMAT = 2
+FORMAT = 3
 
 
 class CompiledReader:
@@ -37,7 +37,12 @@ class CompiledReader:
     def __init__(self, model: Any, workers: int = 1, threads: int = 1) -> None:
         import openvino
 
-        config = {"NUM_STREAMS": workers, "INFERENCE_NUM_THREADS": threads}
+        # Left to itself, a processor with AMX would take bfloat16 for float32, which rounds positions by half a px.
+        config = {
+            "NUM_STREAMS": workers,
+            "INFERENCE_NUM_THREADS": threads,
+            "INFERENCE_PRECISION_HINT": "f32",
+        }
         source = str(model) if isinstance(model, Path) else model
         self._model = openvino.Core().compile_model(source, "CPU", config)
         self._own = threading.local()

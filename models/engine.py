@@ -142,13 +142,15 @@ def build(
             begun = time.process_time()
             _found(finder, checkpoint, judge)
             taken = time.process_time() - begun
+            # The same numbers in another order: of two points that nearly fall together they turn the direction.
+            passed = drift.acceptable if name == in_integers else drift.px <= MAX_DRIFT_PX
             engines[name] = {
                 "drift_px": round(drift.px, 5),
                 "drift_deg": round(drift.deg, 5),
-                "passed": drift.acceptable,
+                "passed": passed,
                 "cpu_ms": round(1e3 * taken / len(judge), 2),
             }
-            if drift.acceptable:
+            if passed:
                 for part, model in models.items():
                     _save(model, folder / f"{part}-{name}.xml")
         record = {
