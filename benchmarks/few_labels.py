@@ -128,9 +128,11 @@ class Result:
 NOTHING = Result(float("nan"), 0.0, float("nan"), 0.0)
 
 
-def judged(film: Film, detector: NetworkDetector, labelled: Sequence[int] = ()) -> Result:
+def judged(
+    film: Film, detector: NetworkDetector, labelled: Sequence[int] = (), steady: bool = False
+) -> Result:
     """Track a film and compare with its truth."""
-    table = track(film.path, detector, DEFINITION)
+    table = track(film.path, detector, DEFINITION, steady=steady)
     rest = film.seen.copy()
     rest[list(labelled)] = False
     error = (table.angle_deg - film.angle_deg)[rest]
@@ -149,7 +151,7 @@ def judged_unlabelled(film: Film, network: Path) -> Result:
     except VideoError as error:
         print(f"    {error}")
         return NOTHING
-    got = judged(film, detector)
+    got = judged(film, detector, steady=True)
     return replace(got, rmse_deg=got.sound_deg, found=got.sound)
 
 

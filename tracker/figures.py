@@ -25,6 +25,7 @@ _LONGEST_NAME = 64
 _DRAWING = Lock()  # one at a time, for all are drawn on one sheet
 _MARKS = {  # flag: colour, marker, words of the legend
     Flag.LOW_LIKELIHOOD: ("#E69F00", "o", "low likelihood"),
+    Flag.JUMP: ("#F0E442", "v", "jump"),
     Flag.DAMAGED: ("#CC79A7", "s", "damaged frame"),
     Flag.OUT_OF_FRAME: ("#009E73", "^", "out of frame, no angle"),
     Flag.COINCIDENT_POINTS: ("#56B4E9", "D", "coincident points, no angle"),

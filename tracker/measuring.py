@@ -18,6 +18,9 @@ from .types import Detections, Flag, FloatArray
 # DeepLabCut's pcutoff, which users know.
 MIN_LIKELIHOOD = 0.6
 
+JUMP_FRAMES, JUMP_SD = 2, 3.0
+"""An angle jumps that is so many standard deviations off the median of itself and so many frames on each side."""
+
 
 class AngleRows(NamedTuple):
     """What an angle table says of T frames: (T,) degrees, degrees, values of `types.Flag`."""
@@ -51,6 +54,7 @@ def measure(
     decoded: np.ndarray,
     damaged: np.ndarray,
     min_likelihood: float = MIN_LIKELIHOOD,
+    steady: bool = False,
 ) -> AngleRows:
     """The bending angle of frames, with a flag on every row that is missing or to be doubted.
 
@@ -62,6 +66,7 @@ def measure(
     size_wh : of the frames, px
     decoded, damaged : (T,) bool, as `types.Flag` means them
     min_likelihood : a row with a keypoint of the angle below this is flagged `low_likelihood`
+    steady : whether a row whose neighbours say another angle is flagged `jump`
     """
     angle_deg, angle_sd_deg, coincident = bending_angle(found.xy, keypoints, definition, found.covariance)
     chain = [keypoints.index(point) for point in definition.points]
@@ -70,12 +75,27 @@ def measure(
         angle_deg[lost] = angle_sd_deg[lost] = np.nan
     with np.errstate(invalid="ignore"):
         unlikely = (found.likelihood[:, chain] < min_likelihood).any(axis=1) | np.isnan(angle_deg)
+    jumped = _jumped(angle_deg, angle_sd_deg) if steady else np.zeros(len(angle_deg), bool)
     flag = np.select(
-        [~decoded, coincident, outside, damaged, unlikely],
-        [Flag.UNDECODABLE, Flag.COINCIDENT_POINTS, Flag.OUT_OF_FRAME, Flag.DAMAGED, Flag.LOW_LIKELIHOOD],
+        [~decoded, coincident, outside, damaged, unlikely, jumped],
+        [
+            *(Flag.UNDECODABLE, Flag.COINCIDENT_POINTS, Flag.OUT_OF_FRAME, Flag.DAMAGED),
+            *(Flag.LOW_LIKELIHOOD, Flag.JUMP),
+        ],
         default=Flag.NONE,
     )
     return AngleRows(angle_deg, angle_sd_deg, flag)
+
+
+def _jumped(angle_deg: FloatArray, sd_deg: FloatArray) -> np.ndarray:
+    """Rows (T,) that their neighbours in time contradict; a motion, however fast, is not one."""
+    around = np.pad(angle_deg, JUMP_FRAMES, constant_values=np.nan)
+    windows = np.lib.stride_tricks.sliding_window_view(around, 2 * JUMP_FRAMES + 1)
+    known = ~np.isnan(angle_deg)
+    jumped = np.zeros(len(angle_deg), bool)
+    away = np.abs(angle_deg[known] - np.nanmedian(windows[known], axis=1))
+    jumped[known] = away > JUMP_SD * sd_deg[known]
+    return jumped
 
 
 def _outside(xy: FloatArray, size_wh: tuple[int, int]) -> np.ndarray:

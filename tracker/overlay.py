@@ -35,6 +35,7 @@ _FLAG_WORDS = {
     Flag.OUT_OF_FRAME: "point outside the frame: no angle",
     Flag.DAMAGED: "damaged frame: values doubtful",
     Flag.LOW_LIKELIHOOD: "low likelihood",
+    Flag.JUMP: "neighbouring frames say another angle",
 }
 
 

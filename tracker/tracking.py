@@ -46,6 +46,7 @@ def track(
     definition: AngleDefinition,
     *,
     min_likelihood: float = MIN_LIKELIHOOD,
+    steady: bool = False,
     progress: Progress | None = None,
     video_sha256: str | None = None,
 ) -> AngleTable:
@@ -59,6 +60,7 @@ def track(
     detector : finds keypoints in frames; a `VideoDetector` follows them through stretches of the video
     definition : which angle, of which of the detector's keypoints
     min_likelihood : a row with a keypoint of the angle below this is flagged `low_likelihood`
+    steady : whether a row whose neighbours say another angle is flagged `jump`
     progress : called after each batch with the number of frames done and the number claimed by the file
     video_sha256 : the file's hash where the caller knows it already
 
@@ -118,6 +120,7 @@ def track(
         decoded=is_decoded,
         damaged=np.array(damaged),
         min_likelihood=min_likelihood,
+        steady=steady,
     )
     provenance = {
         "bendtrack": version("bendtrack"),
@@ -137,7 +140,7 @@ def track(
             "complete": source.complete,
         },
         "detector": detector.provenance,
-        "settings": tracking_settings(definition, min_likelihood),
+        "settings": tracking_settings(definition, min_likelihood, steady),
         "warnings": source.warnings,
         "rows": {kind.value or "sound": int((rows.flag == kind).sum()) for kind in Flag},
     }
@@ -155,9 +158,12 @@ def track(
     )
 
 
-def tracking_settings(definition: AngleDefinition, min_likelihood: float = MIN_LIKELIHOOD) -> dict[str, Any]:
+def tracking_settings(
+    definition: AngleDefinition, min_likelihood: float = MIN_LIKELIHOOD, steady: bool = False
+) -> dict[str, Any]:
     """What besides video and detector decides the table; recorded in it and compared by `is_up_to_date`."""
-    settings: dict[str, Any] = json_ready({"angle": asdict(definition), "min_likelihood": min_likelihood})
+    asked = {"angle": asdict(definition), "min_likelihood": min_likelihood}
+    settings: dict[str, Any] = json_ready(asked | ({"steady": True} if steady else {}))
     return settings
 
 

@@ -43,6 +43,7 @@ class Flag(StrEnum):
     OUT_OF_FRAME        a keypoint of the angle lies outside the frame: positions kept, angle NaN
     DAMAGED             the picture was decoded from a frame that could not be decoded: all values kept
     LOW_LIKELIHOOD      a keypoint of the angle has a likelihood under the threshold: all values kept
+    JUMP                without labels only: the frames before and after say another angle: all values kept
     """
 
     NONE = ""
@@ -52,6 +53,7 @@ class Flag(StrEnum):
     OUT_OF_FRAME = "out_of_frame"
     DAMAGED = "damaged"
     LOW_LIKELIHOOD = "low_likelihood"
+    JUMP = "jump"
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,10 @@ import pytest
 from bendtrack.tracker.angle import AngleDefinition
 from bendtrack.tracker.bookkeeping import is_up_to_date
 from bendtrack.tracker.errors import AngleError, VideoError
+from bendtrack.tracker.measuring import measure
 from bendtrack.tracker.results import read_results, write_results
 from bendtrack.tracker.tracking import track, tracking_settings
-from bendtrack.tracker.types import Detections
+from bendtrack.tracker.types import Detections, Flag
 from bendtrack.tracker.video import file_sha256, video_stem
 
 NAMES = ("base_1", "base_2", "tip_1", "tip_2")
@@ -131,6 +132,25 @@ def test_flags_say_why(arm_video, film):
     assert np.sum(table.flag != "") == 5
 
 
+def test_an_angle_that_its_neighbours_contradict_is_flagged_where_it_is_asked_for():
+    angle = np.concatenate([np.linspace(0, 90, 10), np.linspace(90, 0, 10)])  # 10 degrees a frame, and back
+    angle[[4, 13]] += 40
+    angle[17] = np.nan
+    xy = np.zeros((20, 4, 2))
+    turn = np.radians(angle)
+    xy[:, 1], xy[:, 2] = (50, 0), (100, 0)
+    xy[:, 3] = xy[:, 2] + 50 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    found = Detections(xy, np.ones((20, 4)), np.tile(4.0 * np.eye(2), (20, 4, 1, 1)))  # sd 4.6 degrees
+    kept = {"decoded": ~np.isnan(angle), "damaged": np.zeros(20, bool)}
+
+    def flagged(steady: bool) -> list[int]:
+        rows = measure(found, NAMES, DEFINITION, (200, 200), steady=steady, **kept)
+        return np.flatnonzero(rows.flag == Flag.JUMP).tolist()
+
+    assert flagged(steady=True) == [4, 13]
+    assert flagged(steady=False) == []
+
+
 def test_keypoints_outside_the_angle_do_not_flag(arm_video, film):
     xy = np.tile(film.arm_xy(40), (60, 1, 1))
     xy[:, 2] = (-50, -50)
@@ -176,7 +196,7 @@ import numpy as np
 from bendtrack.tracker.angle import AngleDefinition
 from bendtrack.tracker.results import write_results
 from bendtrack.tracker.tracking import track
-from bendtrack.tracker.types import Detections
+from bendtrack.tracker.types import Detections, Flag
 
 class Detector:
     keypoints = ("base_1", "base_2", "tip_1", "tip_2")

@@ -181,8 +181,18 @@ def _track_one(job: _Job, video: Path, overlay: bool, force: bool) -> str | None
         if definition is None:
             detector = detector.for_video(spread_frames(video, GLIMPSES))
             definition = detector.header.definition
+        # Nobody said where the actuator is: what a frame says is held against those beside it.
+        steady = job.definition is None
         with progress_bars.counting(video.name) as progress:
-            table = track(video, detector, definition, progress=progress, video_sha256=sha256, **job.options)
+            table = track(
+                video,
+                detector,
+                definition,
+                steady=steady,
+                progress=progress,
+                video_sha256=sha256,
+                **job.options,
+            )
         rate = len(table) / (time.monotonic() - begun)
         csv_path, _, _ = write_results(table, job.folder, stem)
         flagged = int((table.flag != "").sum())

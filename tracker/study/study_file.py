@@ -24,7 +24,7 @@ from .log_format import LogFormat
 from .trial import Kind
 
 # Rows with these flags hold an angle, and a study may keep them; the others hold none.
-_KEEPABLE = (Flag.LOW_LIKELIHOOD, Flag.DAMAGED)
+_KEEPABLE = (Flag.LOW_LIKELIHOOD, Flag.JUMP, Flag.DAMAGED)
 # The design that the others are compared with, where the file names none.
 _USUAL_BASELINE = "original"
 

@@ -165,7 +165,7 @@ SYNC = "\n[sync]\nmethod = "
         ),
         (
             "keep_flagged = ['out_of_frame']" + TRIAL,
-            "expected some of low_likelihood, damaged, got 'out_of_frame'",
+            "expected some of low_likelihood, jump, damaged, got 'out_of_frame'",
         ),
         ("log_format.rate_hz = 0" + TRIAL, "log_format.rate_hz: expected greater than 0, got 0"),
         ("log_format.pressure_unit = 'apples'" + TRIAL, "expected a unit of pressure (kPa, Pa"),
