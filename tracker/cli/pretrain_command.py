@@ -29,17 +29,23 @@ def pretrain(
         ),
     ] = None,
     pictures: Annotated[
-        int | None, typer.Option(help="New ones in a step.", show_default="16", metavar="N")
+        int | None, typer.Option(help="New ones in a step.", show_default="16, on a GPU 36", metavar="N")
     ] = None,
     batch: Annotated[
         int | None,
         typer.Option(
-            help="Pictures learnt from in a step, new and kept ones.", show_default="32", metavar="N"
+            help="Pictures learnt from in a step, new and kept ones.",
+            show_default="32, on a GPU 512",
+            metavar="N",
         ),
     ] = None,
     pool: Annotated[
         int | None,
-        typer.Option(help="Pictures that are kept, 0.3 MB each.", show_default="4096", metavar="N"),
+        typer.Option(
+            help="Pictures that are kept, 0.3 MB each.",
+            show_default="4096, on a GPU half of its memory",
+            metavar="N",
+        ),
     ] = None,
     workers: Annotated[
         int, typer.Option(help="Processes that draw pictures, about 100 a second each.", metavar="N")
@@ -58,8 +64,8 @@ def pretrain(
     `train --init OUT/weights.safetensors` starts from what came of it, finished or not.
     """
     from ...models.finding.header import WEIGHTS_FILE
-    from ...models.learning.pretraining import PretrainingSettings
     from ...models.learning.pretraining import pretrain as run
+    from ...models.learning.pretraining import usual_settings
     from ...models.learning.training_state import STATE_FILE
     from . import progress_bars
 
@@ -71,7 +77,7 @@ def pretrain(
         raise TrainingError(f"expected a folder without a network, got one in {out}")
     asked = {"steps": steps, "pictures": pictures, "batch": batch, "pool": pool}
     given = {name: number for name, number in asked.items() if number is not None}
-    settings = PretrainingSettings(backbone=backbone, seed=seed, init=init, **given)
+    settings = usual_settings(backbone=backbone, seed=seed, init=init, **given)
     remove_leftovers(out)
     talk.say(f"{'Going on' if resume else 'Beginning'} in {out}: {settings.steps} steps in all, {backbone}")
     with progress_bars.training(out.name) as progress:
