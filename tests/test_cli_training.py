@@ -70,7 +70,10 @@ def test_a_network_starts_from_what_comes_with_bendtrack_where_nobody_says_other
 def test_no_actuator_comes_with_every_backbone(bendtrack, project: Project) -> None:
     ran = bendtrack("train", project.root, "--backbone", "resnet34", "--init", "actuator")
     assert ran.status == 2
-    assert "actuator weights: expected a backbone that they come with (resnet18, resnet50), got resnet34" in ran.err
+    assert (
+        "actuator weights: expected a backbone that they come with (resnet18, resnet50), got resnet34"
+        in ran.err
+    )
 
 
 def test_a_network_starts_from_a_file_the_project_names(bendtrack, trained_project: Project) -> None:

@@ -11,13 +11,18 @@ from ...tracker.types import ImageArray
 
 Rng = np.random.Generator
 
+OTHER_ROOM = 0.5
+"""Share of pictures whose light is changed as much as between two rooms."""
+
 
 def change_light(image: ImageArray, rng: Rng) -> ImageArray:
-    """Exposure, contrast, gamma and colour cast, one random draw for the picture."""
+    """Exposure, contrast, gamma and colour cast, one random draw for the picture: half as between two hours of a
+    day, half as between two rooms."""
     level = np.arange(256, dtype=np.float32) / 255
-    gamma = np.exp(rng.normal(0, 0.15))
-    gain = np.exp(rng.normal(0, 0.12) + rng.normal(0, 0.04, size=3))
-    shift = rng.normal(0, 0.05) + rng.normal(0, 0.02, size=3)
+    far = 2.5 if rng.random() < OTHER_ROOM else 1.0
+    gamma = np.exp(rng.normal(0, 0.15 * far))
+    gain = np.exp(rng.normal(0, 0.12 * far) + rng.normal(0, 0.04 * far, size=3))
+    shift = rng.normal(0, 0.05 * far) + rng.normal(0, 0.02 * far, size=3)
     table = (level[:, None] ** gamma - 0.5) * gain + 0.5 + shift
     return cv2.LUT(image, np.clip(table * 255, 0, 255).astype(np.uint8)[None])
 

@@ -29,7 +29,6 @@ class Learner:
     average : how much of the averaged weights is kept each step
     weight_decay : AdamW's
     cell_weight : of `heatmaps.cell_loss`
-    bfloat16 : whether convolutions are worked out in bfloat16; weights, losses and steps stay in float32
     """
 
     def __init__(
@@ -39,14 +38,14 @@ class Learner:
         average: float,
         weight_decay: float,
         cell_weight: float = 0.0,
-        bfloat16: bool = False,
     ) -> None:
         self.network = network
         self.average = copy.deepcopy(network).requires_grad_(False)
         self.optimizer = torch.optim.AdamW(network.parameters(), weight_decay=weight_decay)
         self._keep = average
         self._cell_weight = cell_weight
-        self._bfloat16 = bfloat16
+        # Convolutions only; weights, losses and steps stay in float32.
+        self._bfloat16 = has_bfloat16(network.mean.device)
 
     def learn(self, batch: Batch, step: int, learning_rate: float) -> float:
         """Take step number `step`, from 0; returns the loss before it.
@@ -91,3 +90,12 @@ class Learner:
         losses = heatmap_loss(maps, xy, known, present)
         loss = losses["heat"] + losses["offset"] + SPREAD_WEIGHT * losses["spread"]
         return loss + self._cell_weight * cell_loss(maps, xy, known, present) if self._cell_weight else loss
+
+
+def has_bfloat16(device: torch.device) -> bool:
+    """Whether a device multiplies numbers in bfloat16 faster than in float32."""
+    if device.type == "cuda":
+        return torch.cuda.is_bf16_supported(including_emulation=False)
+    if not hasattr(torch.cpu, "get_capabilities"):  # torch before 2.8
+        return False
+    return bool(torch.cpu.get_capabilities().get("avx512_bf16", False))

@@ -22,7 +22,8 @@ class Pair:
     Parameters
     ----------
     network : with the weights to start from, on the device to train on
-    average, weight_decay, cell_weight, bfloat16 : as `Learner`'s
+    average, weight_decay, cell_weight : as `Learner`'s
+    locator_share : of the learning rate, what the locator takes
 
     Attributes
     ----------
@@ -37,15 +38,14 @@ class Pair:
         average: float,
         weight_decay: float,
         cell_weight: float = 0.0,
-        bfloat16: bool = False,
+        locator_share: float = 1.0,
     ) -> None:
         locator, refiner = (
-            Learner(
-                part, average=average, weight_decay=weight_decay, cell_weight=cell_weight, bfloat16=bfloat16
-            )
+            Learner(part, average=average, weight_decay=weight_decay, cell_weight=cell_weight)
             for part in (network.locator, network.refiner)
         )
         self.learners = {"locator": locator, "refiner": refiner}
+        self._locator_share = locator_share
         self.average = Cascade.of(locator.average, refiner.average)
 
     def __enter__(self) -> Pair:
@@ -67,7 +67,9 @@ class Pair:
         -------
         The sum of the two networks' losses.
         """
-        located = self._pool.submit(self.learners["locator"].learn, locate, step, learning_rate)
+        located = self._pool.submit(
+            self.learners["locator"].learn, locate, step, learning_rate * self._locator_share
+        )
         refiner, first = self.learners["refiner"], step * len(refine)
         losses = [refiner.learn(batch, first + i, learning_rate) for i, batch in enumerate(refine)]
         return located.result() + sum(losses) / len(losses)

@@ -200,7 +200,6 @@ class _Pretrainer:
             average=settings.average,
             weight_decay=settings.weight_decay,
             cell_weight=settings.cell_weight,
-            bfloat16=has_bfloat16(self.device),
         )
         self.schedule = Schedule(settings.steps, settings.decay_share, warmup=200)
         self.step, self.elapsed_s = 0, 0.0
@@ -343,15 +342,6 @@ class _Pretrainer:
             raise TrainingError(f"--resume: expected an unfinished pretraining in {self.folder}, got none")
         state = load_state(self.state_file, self.pair.learners, self.settings.identity)
         self.step, self.elapsed_s, self.rows = state.step, state.elapsed_s, state.rows
-
-
-def has_bfloat16(device: torch.device) -> bool:
-    """Whether a device multiplies numbers in bfloat16 faster than in float32."""
-    if device.type == "cuda":
-        return torch.cuda.is_bf16_supported(including_emulation=False)
-    if not hasattr(torch.cpu, "get_capabilities"):  # torch before 2.8
-        return False
-    return bool(torch.cpu.get_capabilities().get("avx512_bf16", False))
 
 
 @contextmanager

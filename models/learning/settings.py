@@ -19,11 +19,12 @@ class TrainingSettings:
     backbone : resnet18 finds what the larger ones find on thirty frames of one actuator, in a third of the time
     init : "auto" (the best start on this machine), "actuator" (the network that comes with bendtrack), "imagenet",
         "random", or the path of a weights file
-    steps : training steps; None takes ten for each training frame, between 300 and 3000, and half of that where both
-        networks know actuators already
+    steps : training steps; None takes ten for each training frame, between 300 and 3000, and two thirds of that where
+        both networks know actuators already
     batch_frames : frames of a batch; a frame gives the locator one crop and the refiner a patch a keypoint
-    learning_rate, weight_decay : AdamW's; None takes a learning rate of 2e-3, or of 1e-3 where both networks know
-        actuators already: what they know is worth keeping
+    learning_rate, weight_decay : AdamW's; None takes a learning rate of 2e-3, or of 8e-3 where both networks know
+        actuators already: their weights have grown, so that the same step turns them less. The locator then takes
+        an eighth of it: what it knows of actuators before other backgrounds is worth keeping.
     decay_share : share of the steps in which the learning rate falls to zero; it begins earlier when the
         held-out error stops falling
     average : how much of the averaged weights is kept each step; the average is what is saved and judged
@@ -66,13 +67,17 @@ class TrainingSettings:
         if self.steps is not None:
             return self.steps
         steps = min(max(300, 10 * n_frames), 3000)
-        return steps // 2 if start == "actuator" else steps
+        return 2 * steps // 3 if start == "actuator" else steps
 
     def learning_rate_from(self, start: str) -> float:
         """The highest learning rate, from what `initialisation.resolve_init` says."""
         if self.learning_rate is not None:
             return self.learning_rate
-        return 1e-3 if start == "actuator" else 2e-3
+        return 8e-3 if start == "actuator" else 2e-3
+
+    def locator_share_from(self, start: str) -> float:
+        """Of the learning rate, what the locator takes, from what `initialisation.resolve_init` says."""
+        return 1 / 8 if start == "actuator" else 1.0
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready."""

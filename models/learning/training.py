@@ -148,7 +148,12 @@ class _Trainer:
         if not resume:  # a training that is resumed has its weights; those that it started from may be gone
             self._start_from(network)
         network.to(self.device)
-        self.pair = Pair(network, average=settings.average, weight_decay=settings.weight_decay)
+        self.pair = Pair(
+            network,
+            average=settings.average,
+            weight_decay=settings.weight_decay,
+            locator_share=settings.locator_share_from(self.start),
+        )
         self.schedule = Schedule(settings.steps_for(len(self.trained), self.start), settings.decay_share)
         self.step, self.elapsed_s = 0, 0.0
         self.rows: list[dict[str, float]] = []

@@ -130,7 +130,7 @@ def test_ghosts_copies_and_the_film_strip(make_desk, sample_project, sample_trut
 
 @pytest.mark.slow
 def test_the_network_as_ghosts(make_desk, trained_project) -> None:
-    """A network that has learnt next to nothing and is sure of it: it disagrees with the labels, and the page says so."""
+    """A network that has learnt next to nothing and is sure of it: it disagrees with labels, and the page says so."""
     facts_file = trained_project.models_dir / "model" / "checkpoint.json"
     facts = json.loads(facts_file.read_text())
     facts["calibration"] |= {"scale": 1e-3, "label_sd_px": 0.0}
