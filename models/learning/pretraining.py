@@ -24,7 +24,6 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
-from torch.nn.utils import convert_conv2d_weight_memory_format
 
 from ...tracker.angle import AngleDefinition
 from ...tracker.errors import TrainingError, WeightsError
@@ -196,7 +195,7 @@ class _Pretrainer:
         if settings.init != "random" and not resume:  # what is resumed has its weights
             self._start_from(network)
         self.pair = Pair(
-            convert_conv2d_weight_memory_format(network.to(self.device), torch.channels_last),
+            network.to(self.device),
             average=settings.average,
             weight_decay=settings.weight_decay,
             cell_weight=settings.cell_weight,
