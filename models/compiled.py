@@ -20,7 +20,7 @@ ENGINES = ("openvino-int8", "openvino")
 
 PARTS = ("locator", "refiner")
 RECORD = "engine.json"
-FORMAT = 3
+FORMAT = 4
 
 
 class CompiledReader:
