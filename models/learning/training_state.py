@@ -103,9 +103,13 @@ def load_state(path: Path, learners: Mapping[str, Learner], identity: str) -> Tr
         learner.network.load_state_dict(_under("network.", own))
         learner.average.load_state_dict(_under("average.", own))
         moments: dict[int, dict[str, Tensor]] = {}
+        weights = list(learner.network.parameters())
         for name, value in _under("optimizer.", own).items():
             index, key = name.split(".", 1)
-            moments.setdefault(int(index), {})[key] = value
+            weight = weights[int(index)].detach()
+            # In the order in which its weight lies in memory: a step in one pass takes both as they lie.
+            laid_out = torch.empty_like(weight).copy_(value) if value.shape == weight.shape else value
+            moments.setdefault(int(index), {})[key] = laid_out
         learner.optimizer.load_state_dict({**learner.optimizer.state_dict(), "state": moments})
     return TrainingState(
         identity=identity,
