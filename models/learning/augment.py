@@ -11,15 +11,15 @@ from ...tracker.types import ImageArray
 
 Rng = np.random.Generator
 
-OTHER_ROOM = 0.5
-"""Share of pictures whose light is changed as much as between two rooms."""
+OTHER_ROOM, FURTHER = 0.5, 2.5
+"""Share of pictures whose light is changed as much as between two rooms, and how much more that is."""
 
 
 def change_light(image: ImageArray, rng: Rng) -> ImageArray:
     """Exposure, contrast, gamma and colour cast, one random draw for the picture: half as between two hours of a
     day, half as between two rooms."""
     level = np.arange(256, dtype=np.float32) / 255
-    far = 2.5 if rng.random() < OTHER_ROOM else 1.0
+    far = FURTHER if rng.random() < OTHER_ROOM else 1.0
     gamma = np.exp(rng.normal(0, 0.15 * far))
     gain = np.exp(rng.normal(0, 0.12 * far) + rng.normal(0, 0.04 * far, size=3))
     shift = rng.normal(0, 0.05 * far) + rng.normal(0, 0.02 * far, size=3)

@@ -23,8 +23,8 @@ class TrainingSettings:
         both networks know actuators already
     batch_frames : frames of a batch; a frame gives the locator one crop and the refiner a patch a keypoint
     learning_rate, weight_decay : AdamW's; None takes a learning rate of 2e-3, or of 8e-3 where both networks know
-        actuators already: their weights have grown, so that the same step turns them less. The locator then takes
-        an eighth of it: what it knows of actuators before other backgrounds is worth keeping.
+        actuators already: their weights have grown, so that the same step turns them less. There the locator takes
+        an eighth of the rate, given or not: what it knows of actuators before other backgrounds is worth keeping.
     decay_share : share of the steps in which the learning rate falls to zero; it begins earlier when the
         held-out error stops falling
     average : how much of the averaged weights is kept each step; the average is what is saved and judged

@@ -106,7 +106,7 @@ def load_state(path: Path, learners: Mapping[str, Learner], identity: str) -> Tr
         weights = list(learner.network.parameters())
         for name, value in _under("optimizer.", own).items():
             index, key = name.split(".", 1)
-            weight = weights[int(index)].detach()
+            weight = weights[int(index)]
             # In the order in which its weight lies in memory: a step in one pass takes both as they lie.
             laid_out = torch.empty_like(weight).copy_(value) if value.shape == weight.shape else value
             moments.setdefault(int(index), {})[key] = laid_out
