@@ -84,7 +84,7 @@ class Finder:
         xy, likelihood = self.located(frames, region)
         found = self.refined(frames, xy, region, partner)
         # Both must have seen it, and in one place: a locator may guess through a hand, a patch show something else.
-        together = np.linalg.norm(found.xy - xy, axis=2) * region.refiner_scale <= LOST_PATCH_PX
+        together = self.apart(xy, found.xy, region, partner) <= LOST_PATCH_PX
         both = np.where(together, np.minimum(likelihood, found.likelihood), 0.0)
         return Detections(found.xy, both, found.covariance)
 
@@ -98,6 +98,13 @@ class Finder:
             better = (score[0] > likelihood[i]) & (likelihood[i] < COLLAPSE_LIKELIHOOD)
             xy[i, better], likelihood[i, better] = elsewhere[0, better], score[0, better]
         return xy, likelihood
+
+    def apart(
+        self, located: FloatArray, found: FloatArray, region: WorkingRegion, partner: Sequence[int]
+    ) -> FloatArray:
+        """How far (..., K) patch px the two networks' positions (..., K, 2) px are from saying the same."""
+        distance: FloatArray = np.linalg.norm(found - located, axis=-1) * region.refiner_scale
+        return distance
 
     def refined(
         self, frames: Frames, xy: FloatArray, region: WorkingRegion, partner: Sequence[int]

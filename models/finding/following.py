@@ -150,7 +150,8 @@ class Follower:
         return found
 
     def _elsewhere(self, xy: FloatArray, found: Detections) -> np.ndarray:
-        return self._distance(xy, found.xy[-1]) > LOST_PATCH_PX
+        apart = self._finder.apart(xy, found.xy[-1], self._region, self._header.partner)
+        return np.asarray(apart > LOST_PATCH_PX)
 
     def _search(self, frames: Frames) -> Detections:
         self._until_check = CHECK_EVERY
@@ -161,11 +162,6 @@ class Follower:
     def _seen(self, found: Detections) -> BoolArray:
         """Which keypoints (N, K) are seen well enough, and not far from where their partners say."""
         return np.asarray((found.likelihood >= self._sure) & self._header.fits(found.xy, self._region))
-
-    def _distance(self, one: FloatArray, other: FloatArray) -> FloatArray:
-        """Distances (..., K) in px of the refiner's patches."""
-        distance: FloatArray = np.linalg.norm(one - other, axis=-1) * self._region.refiner_scale
-        return distance
 
 
 def _with(found: Detections, rows: Sequence[int], others: Detections) -> Detections:

@@ -7,6 +7,7 @@ same one all the time. What comes out is a header for this video, with which the
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,10 +16,10 @@ from ...tracker.angle import bending_angle
 from ...tracker.errors import VideoError
 from ...tracker.types import BoolArray, Detections, FloatArray, Frames
 from .assembly import assembled
-from .calibration import Calibration
+from .calibration import Calibration, usual_peaks
 from .finder import Finder
-from .header import Header
-from .regions import WorkingRegion, body_length_px, find_region
+from .header import LONGER, SHORTER, Header
+from .regions import WorkingRegion, body_length_px, find_region, patch_directions
 
 FIRST_SIDES = (96, 128, 192, 256)
 """Input px of a whole frame's long side at a first look: actuators fill a fifth of a picture, or nearly all of it."""
@@ -41,6 +42,12 @@ smooth body begins to bend is hard to see, which does not matter to its directio
 
 LEAST_SAME = 0.6
 """Share of the glimpses that must show the same actuator, or the angles would be mostly guessed."""
+
+SLIDE_WEIGHT = 0.5
+"""What a distance along the body counts, between its ends, where locator and refiner say where a keypoint is."""
+
+LEAST_USUAL = 0.5
+"""A video's usual peaks are at least so high, as a share of pretraining's."""
 
 STILL_SHARE = 0.5
 """An end that moves by less than so much of what the other moves is the fixed one."""
@@ -99,6 +106,20 @@ class HeldFinder(Finder):
         xy, likelihood = assembled(xy, likelihood, self.fixed_xy, self.body_px)
         return xy, likelihood * self.calibration.usual
 
+    def apart(
+        self, located: FloatArray, found: FloatArray, region: WorkingRegion, partner: Sequence[int]
+    ) -> FloatArray:
+        """As `Finder.apart`; between the chain's ends a distance along it counts for less.
+
+        Nothing shows where on a smooth body a point of the midline lies, nor where a straight end begins to bend.
+        """
+        step = (found - located) * region.refiner_scale
+        turn = patch_directions(found, partner)
+        along = step[..., 0] * np.cos(turn) + step[..., 1] * np.sin(turn)
+        along[..., 1:-1] *= SLIDE_WEIGHT
+        across = step[..., 1] * np.cos(turn) - step[..., 0] * np.sin(turn)
+        return np.hypot(along, across)
+
 
 def oriented(xy: FloatArray, likelihood: FloatArray, fixed_xy: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Positions (N, K, 2) and likelihoods (N, K), the chain turned round where its last end lies at the fixed place."""
@@ -151,13 +172,35 @@ def sight(glimpses: Frames, header: Header, finder: Finder) -> Sighting:
             f"expected an actuator whose moving end keeps its length, got one in {100 * same.mean():.0f} % of the"
             " frames looked at; label some frames: `bendtrack new`"
         )
-    angle_deg, _, _ = bending_angle(xy[same], header.keypoints, replace(header.definition, sign=1))
-    definition = replace(header.definition, sign=-1 if np.nansum(angle_deg) < 0 else 1)
-    header = replace(header, regions=(best.region,), definition=definition)
+    header = _header_of(header, found, same, best.region)
     parts = finder.locate, finder.refine, finder.peaks
     knowing = HeldFinder(*parts, fixed_xy=fixed_xy, body_px=body_px, calibration=header.calibration)
     return Sighting(
         header, knowing, _resting(header.calibration.apply(found), same), end_px, float(same.mean())
+    )
+
+
+def _header_of(header: Header, found: Detections, same: BoolArray, region: WorkingRegion) -> Header:
+    """The network's header for this video, from what was found in the glimpses (N,) that count.
+
+    They stand for the labelled frames of a training: how high the heatmaps' peaks usually are, how long the moving end
+    may be, and to which side the actuator bends.
+    """
+    xy, peak = found.xy[same], found.likelihood[same]
+    angle_deg, _, _ = bending_angle(xy, header.keypoints, replace(header.definition, sign=1))
+    usual = np.clip(
+        usual_peaks(peak, np.ones(peak.shape, bool)),
+        LEAST_USUAL * header.calibration.usual,
+        header.calibration.usual,
+    )
+    end_px = float(np.median(_end_px(xy))) * region.refiner_scale
+    anything, end = (0.0, np.inf), (SHORTEST * end_px / SHORTER, LONGEST * end_px / LONGER)
+    return replace(
+        header,
+        regions=(region,),
+        definition=replace(header.definition, sign=-1 if np.nansum(angle_deg) < 0 else 1),
+        calibration=replace(header.calibration, usual_peak=tuple(usual.tolist())),
+        lengths=(*[anything] * (peak.shape[1] - 2), end, end),
     )
 
 

@@ -173,3 +173,37 @@ def test_the_fixed_end_is_where_it_rests_whatever_one_frame_says() -> None:
     found = seen.believed(Detections(once, np.full((1, 4), 0.9), np.zeros((1, 4, 2, 2))))
     np.testing.assert_allclose(found.xy[0, :2], truth[0, :2], atol=1.5)
     np.testing.assert_array_equal(found.xy[0, 2:], once[0, 2:])
+
+
+def test_along_the_body_two_networks_may_say_different_places() -> None:
+    """Between its ends nothing shows where on the midline a keypoint lies; at the ends, and across, it does."""
+    finder = sight(glimpses(30), HEADER, Oracle(arms(), np.full((30, 4), 0.6))).finder
+    straight, region = body(0)[None], HEADER.regions[0]
+    along, across = straight + [20.0, 0.0], straight + [0.0, 20.0]
+    one, other = (finder.apart(moved, straight, region, HEADER.partner)[0] for moved in (along, across))
+    np.testing.assert_allclose(one, [20, 10, 10, 20])
+    np.testing.assert_allclose(other, 20)
+    np.testing.assert_allclose(Finder.apart(finder, along, straight, region, HEADER.partner), 20)
+
+
+def test_a_video_has_usual_peaks_of_its_own() -> None:
+    """What its glimpses agree about is there, however dimly this body shows it; but not as dimly as one likes."""
+    peak = np.full((30, 4), 0.6)
+
+    class Dim(Oracle):
+        def refined(self, frames, xy, region, partner):
+            found = super().refined(frames, xy, region, partner)
+            return Detections(found.xy, np.tile([0.9, 0.6, 0.4, 0.1], (len(xy), 1)), found.covariance)
+
+    seen = sight(glimpses(30), HEADER, Dim(arms(), peak))
+    np.testing.assert_allclose(seen.header.calibration.usual, [0.6, 0.6, 0.4, 0.3])
+
+
+def test_the_moving_end_keeps_about_its_length() -> None:
+    """A frame in which its two points lie further apart is searched again, and not believed."""
+    seen = sight(glimpses(30), HEADER, Oracle(arms(), np.full((30, 4), 0.6), noise_px=0.0))
+    region = seen.header.region_for(SIZE_WH)
+    stretched = body(30)[None].repeat(3, axis=0)
+    for chain, length in zip(stretched, (20.0, 50.0, 70.0), strict=True):
+        chain[3] = chain[2] + length / 30 * (chain[3] - chain[2])
+    assert seen.header.fits(stretched, region).tolist() == [[True] * 4, [True] * 4, [True, True, False, False]]
