@@ -9,6 +9,7 @@ import pytest
 
 from bendtrack.tracker.project import Project
 from bendtrack.tracker.results import read_results
+from bendtrack.tracker.video import Video
 from bendtrack.tracker.video_writer import VideoWriter
 
 
@@ -66,3 +67,12 @@ def test_an_actuator_that_the_network_knows_is_found_and_measured(
     assert np.sqrt(np.nanmean((table.angle_deg - truth) ** 2)) < 5
     assert (out / "new.png").is_file()
     assert "up to date" in bendtrack("angle", video, "--network", network, "--out", out).out
+    # Its light goes out in every second frame, and those that are looked at first are the others: that is told.
+    steady, blinking = write_arm_video(tmp_path / "steady.mp4", 63), tmp_path / "blinking.mp4"
+    with VideoWriter(blinking, Video(steady).size_wh, frame_rate=30) as writer:
+        for frame in Video(steady):
+            writer.write(frame.image * (frame.index % 2 == 0))
+    ran = bendtrack("angle", blinking, "--network", network, "--out", out)
+    assert ran.status == 0
+    assert "blinking.mp4: expected the actuator in most frames, got it without a flag in" in ran.err
+    assert (read_results(out / "blinking.h5").flag[1::2] != "").all()

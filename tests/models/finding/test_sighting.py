@@ -179,7 +179,7 @@ def test_along_the_body_two_networks_may_say_different_places() -> None:
     """Between its ends nothing shows where on the midline a keypoint lies; at the ends, and across, it does."""
     finder = sight(glimpses(30), HEADER, Oracle(arms(), np.full((30, 4), 0.6))).finder
     straight, region = body(0)[None], HEADER.regions[0]
-    along, across = straight + [20.0, 0.0], straight + [0.0, 20.0]
+    along, across = (straight + np.array(step) for step in ((20.0, 0.0), (0.0, 20.0)))
     one, other = (finder.apart(moved, straight, region, HEADER.partner)[0] for moved in (along, across))
     np.testing.assert_allclose(one, [20, 10, 10, 20])
     np.testing.assert_allclose(other, 20)
@@ -206,4 +206,8 @@ def test_the_moving_end_keeps_about_its_length() -> None:
     stretched = body(30)[None].repeat(3, axis=0)
     for chain, length in zip(stretched, (20.0, 50.0, 70.0), strict=True):
         chain[3] = chain[2] + length / 30 * (chain[3] - chain[2])
-    assert seen.header.fits(stretched, region).tolist() == [[True] * 4, [True] * 4, [True, True, False, False]]
+    assert seen.header.fits(stretched, region).tolist() == [
+        [True] * 4,
+        [True] * 4,
+        [True, True, False, False],
+    ]
