@@ -76,3 +76,6 @@ def test_an_actuator_that_the_network_knows_is_found_and_measured(
     assert ran.status == 0
     assert "blinking.mp4: expected the actuator in most frames, got it without a flag in" in ran.err
     assert (read_results(out / "blinking.h5").flag[1::2] != "").all()
+    again = bendtrack("angle", blinking, "--network", network, "--out", out)
+    assert "up to date" in again.out
+    assert again.err == ran.err

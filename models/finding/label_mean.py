@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...tracker.types import FloatArray
-from .regions import patch_directions
+from .regions import patch_directions, turned
 
 FAR = 5.0
 """A residual beyond so many robust standard deviations is a label on the wrong spot, not part of a mean."""
@@ -33,7 +33,7 @@ def label_offset(
     -------
     (K, 2) px of the upright patch; 0 for a keypoint that was never labelled
     """
-    residual = _turned(labels - found, -patch_directions(found, partner)) * patch_scale[:, None, None]
+    residual = turned(labels - found, -patch_directions(found, partner)) * patch_scale[:, None, None]
     offset = np.zeros(found.shape[1:])
     for k in range(found.shape[1]):
         own = residual[~np.isnan(residual[:, k, 0]), k]
@@ -50,10 +50,4 @@ def with_offset(
 ) -> FloatArray:
     """Positions (N, K, 2) px moved by `label_offset`'s (K, 2); `patch_scale` (N,) or that of all frames."""
     steps = offset / np.broadcast_to(patch_scale, len(xy))[:, None, None]
-    return xy + _turned(steps, patch_directions(xy, partner))
-
-
-def _turned(vectors: FloatArray, angle_rad: FloatArray) -> FloatArray:
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    x, y = vectors[..., 0], vectors[..., 1]
-    return np.stack([c * x - s * y, s * x + c * y], axis=-1)
+    return xy + turned(steps, patch_directions(xy, partner))

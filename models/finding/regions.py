@@ -194,3 +194,10 @@ def patch_directions(xy: FloatArray, partner: Sequence[int]) -> FloatArray:
     step = xy[..., second, :] - xy[..., first, :]
     angle: FloatArray = np.nan_to_num(np.arctan2(step[..., 1], step[..., 0]))
     return angle
+
+
+def turned(vectors: FloatArray, angle_rad: FloatArray) -> FloatArray:
+    """Vectors (..., 2) turned by angles (...) from x toward y."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    x, y = vectors[..., 0], vectors[..., 1]
+    return np.stack([c * x - s * y, s * x + c * y], axis=-1)

@@ -19,7 +19,7 @@ from .assembly import assembled
 from .calibration import Calibration, usual_peaks
 from .finder import Finder
 from .header import LONGER, SHORTER, Header
-from .regions import WorkingRegion, body_length_px, find_region, patch_directions
+from .regions import WorkingRegion, body_length_px, find_region, patch_directions, turned
 
 FIRST_SIDES = (96, 128, 192, 256)
 """Input px of a whole frame's long side at a first look: actuators fill a fifth of a picture, or nearly all of it."""
@@ -59,7 +59,7 @@ class Sighting:
 
     Attributes
     ----------
-    header : the network's for this video: region, and the angle's sign
+    header : the network's for this video: region, the angle's sign, usual peaks, the moving end's length
     finder : knows where the fixed end is, and the body's length
     fixed : the fixed end's points (1, 2), calibrated
     end_px : length of the moving end
@@ -93,7 +93,7 @@ class HeldFinder(Finder):
     ----------
     fixed_xy : (2,) px, where the fixed end is
     body_px : the body's length
-    calibration : the network's, which says what a peak is worth
+    calibration : this video's, which says what a peak is worth
     """
 
     fixed_xy: FloatArray
@@ -113,12 +113,9 @@ class HeldFinder(Finder):
 
         Nothing shows where on a smooth body a point of the midline lies, nor where a straight end begins to bend.
         """
-        step = (found - located) * region.refiner_scale
-        turn = patch_directions(found, partner)
-        along = step[..., 0] * np.cos(turn) + step[..., 1] * np.sin(turn)
-        along[..., 1:-1] *= SLIDE_WEIGHT
-        across = step[..., 1] * np.cos(turn) - step[..., 0] * np.sin(turn)
-        return np.hypot(along, across)
+        step = turned(found - located, -patch_directions(found, partner))
+        step[..., 1:-1, 0] *= SLIDE_WEIGHT
+        return super().apart(np.zeros_like(step), step, region, partner)
 
 
 def oriented(xy: FloatArray, likelihood: FloatArray, fixed_xy: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -172,7 +169,7 @@ def sight(glimpses: Frames, header: Header, finder: Finder) -> Sighting:
             f"expected an actuator whose moving end keeps its length, got one in {100 * same.mean():.0f} % of the"
             " frames looked at; label some frames: `bendtrack new`"
         )
-    header = _header_of(header, found, same, best.region)
+    header = _header_of(header, found, same, best.region, end_px)
     parts = finder.locate, finder.refine, finder.peaks
     knowing = HeldFinder(*parts, fixed_xy=fixed_xy, body_px=body_px, calibration=header.calibration)
     return Sighting(
@@ -180,7 +177,9 @@ def sight(glimpses: Frames, header: Header, finder: Finder) -> Sighting:
     )
 
 
-def _header_of(header: Header, found: Detections, same: BoolArray, region: WorkingRegion) -> Header:
+def _header_of(
+    header: Header, found: Detections, same: BoolArray, region: WorkingRegion, end_px: float
+) -> Header:
     """The network's header for this video, from what was found in the glimpses (N,) that count.
 
     They stand for the labelled frames of a training: how high the heatmaps' peaks usually are, how long the moving end
@@ -193,14 +192,14 @@ def _header_of(header: Header, found: Detections, same: BoolArray, region: Worki
         LEAST_USUAL * header.calibration.usual,
         header.calibration.usual,
     )
-    end_px = float(np.median(_end_px(xy))) * region.refiner_scale
-    anything, end = (0.0, np.inf), (SHORTEST * end_px / SHORTER, LONGEST * end_px / LONGER)
+    end = end_px * region.refiner_scale
+    anything, about = (0.0, np.inf), (SHORTEST * end / SHORTER, LONGEST * end / LONGER)
     return replace(
         header,
         regions=(region,),
         definition=replace(header.definition, sign=-1 if np.nansum(angle_deg) < 0 else 1),
         calibration=replace(header.calibration, usual_peak=tuple(usual.tolist())),
-        lengths=(*[anything] * (peak.shape[1] - 2), end, end),
+        lengths=(*[anything] * (peak.shape[1] - 2), about, about),
     )
 
 

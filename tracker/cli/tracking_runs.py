@@ -31,8 +31,8 @@ ForceOption = Annotated[bool, typer.Option("--force", help="Also what is up to d
 GLIMPSES = 32
 """Frames in which an actuator is looked for that nobody has labelled."""
 
-DOUBTFUL = 0.4
-"""Share of flagged frames from which a user is warned, where nobody has labelled anything."""
+LEAST_SOUND = 0.6
+"""Share of the frames without a flag below which a user is warned, where nobody has labelled anything."""
 
 _OVERLAY = "overlay"
 """In the name of an overlay that could be taken for a video of the user's."""
@@ -198,17 +198,17 @@ def _track_one(job: _Job, video: Path, overlay: bool, force: bool) -> str | None
             )
         rate = len(table) / (time.monotonic() - begun)
         csv_path, _, _ = write_results(table, job.folder, stem)
-        flagged, frames = int((table.flag != "").sum()), len(table)
-        talk.say(f"{video}: {frames} frames, {flagged} flagged, {rate:.0f} frames/s -> {csv_path}")
-        if steady and flagged > DOUBTFUL * frames:
-            talk.warn(
-                f"{video}: expected the actuator in most frames, got it without a flag in"
-                f" {100 * (1 - flagged / frames):.0f} %, and those may be wrong too;"
-                " look at --overlay, or label some frames: `bendtrack new`"
-            )
+        flagged = int((table.flag != "").sum())
+        talk.say(f"{video}: {len(table)} frames, {flagged} flagged, {rate:.0f} frames/s -> {csv_path}")
     warnings, complete = table.provenance["warnings"], table.provenance["video"]["complete"]
     for warning in warnings if complete else ():
         talk.warn(f"{video}: {warning}")
+    sound = float((table.flag == "").mean())
+    if job.definition is None and sound < LEAST_SOUND:
+        talk.warn(
+            f"{video}: expected the actuator in most frames, got it without a flag in {100 * sound:.0f} %, and those"
+            " may be wrong too; look at --overlay, or label some frames: `bendtrack new`"
+        )
     job.wait_for_figure()
     if not is_recorded(job.folder, stem, figure_path):
         job.drawn = job.drawing.submit(_draw, table, job.folder, stem, figure_path)
