@@ -24,9 +24,10 @@ LOCATOR_STAGES = 4
 """Who looks for any actuator in a whole picture needs the fourth residual stage; on thirty frames of one actuator three
 find as much."""
 
-REFINER_STAGES = 2
+REFINER_STAGES = 3
 REFINER_WIDTH = 32
-"""Two stages see a whole patch; one does not, and takes one end for another. Nothing is gained by a wider way up."""
+"""Two stages reach a whole patch, but weigh little of what lies away from its middle: a wide end's sides. Nothing is
+gained by a wider way up."""
 
 assert LOCATOR_MULTIPLE == 2 ** (LOCATOR_STAGES + 1)
 
@@ -38,14 +39,20 @@ class Cascade(nn.Module):
     ----------
     backbone : a key of `network.BACKBONES`
     n_keypoints : K
-    locator_stages : residual stages that the locator has
+    locator_stages, refiner_stages : residual stages that each has
     """
 
-    def __init__(self, backbone: str, n_keypoints: int, locator_stages: int = LOCATOR_STAGES) -> None:
+    def __init__(
+        self,
+        backbone: str,
+        n_keypoints: int,
+        locator_stages: int = LOCATOR_STAGES,
+        refiner_stages: int = REFINER_STAGES,
+    ) -> None:
         super().__init__()
         self.locator = HeatmapNetwork(backbone, locator_stages, n_keypoints, convolutions=CONVOLUTIONS)
         self.refiner = HeatmapNetwork(
-            backbone, REFINER_STAGES, n_keypoints, convolutions=CONVOLUTIONS, width=REFINER_WIDTH
+            backbone, refiner_stages, n_keypoints, convolutions=CONVOLUTIONS, width=REFINER_WIDTH
         )
 
     @classmethod

@@ -64,9 +64,11 @@ def load_checkpoint(path: Path) -> Checkpoint:
     header = read_header(path, tuple(BACKBONES))
     with told_as_damage(path):
         weights = load_file(path)
-        # Early networks had a locator of three stages.
-        stages = sum(name.startswith("locator.lateral.") for name in weights)
-        network = Cascade(header.backbone, len(header.keypoints), stages)
+        # Earlier networks had fewer stages.
+        stages = [
+            sum(name.startswith(f"{part}.lateral.") for name in weights) for part in ("locator", "refiner")
+        ]
+        network = Cascade(header.backbone, len(header.keypoints), *stages)
         network.load_state_dict(weights)
     return Checkpoint(
         network=network.eval(), **{part.name: getattr(header, part.name) for part in fields(header)}

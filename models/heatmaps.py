@@ -54,8 +54,9 @@ def heatmap_loss(maps: Maps, xy: Tensor, known: Tensor, present: Tensor) -> dict
 
     Returns
     -------
-    dict with scalar tensors: heat (penalty-reduced focal loss, Law & Deng 2018 eq. 1), offset (Huber, in cells),
-    spread (Gaussian negative log likelihood of the offsets' residuals, which are held fixed)
+    dict with scalar tensors: heat (penalty-reduced focal loss, Law & Deng 2018 eq. 1), offset (Huber, in cells, of
+    residuals that are `_evened`), spread (Gaussian negative log likelihood of the offsets' residuals, which are held
+    fixed)
     """
     n, k, h, w = maps.heat.shape
     dx, dy = _steps(maps, xy)
@@ -75,7 +76,8 @@ def heatmap_loss(maps: Maps, xy: Tensor, known: Tensor, present: Tensor) -> dict
     weight = near * target
     total = weight.sum().clamp(min=1e-6)
     residual = maps.offset - torch.stack([dx.expand(n, k, h, w), dy.expand(n, k, h, w)], dim=2)
-    size = F.huber_loss(residual / STRIDE, torch.zeros_like(residual), reduction="none", delta=0.5).sum(dim=2)
+    evened = _evened(residual, maps.spread.detach()) / STRIDE
+    size = F.huber_loss(evened, torch.zeros_like(evened), reduction="none", delta=0.5).sum(dim=2)
     offset = (torch.where(weight > 0, size, torch.zeros_like(size)) * weight).sum() / total
     nll = _gaussian_nll(residual.detach(), maps.spread)
     spread = (torch.where(weight > 0, nll, torch.zeros_like(nll)) * weight).sum() / total
@@ -124,6 +126,24 @@ def _gaussian_nll(residual: Tensor, spread: Tensor) -> Tensor:
     far = 2 * (_FAR_DISTANCE2 * mahalanobis.clamp(min=_FAR_DISTANCE2)).sqrt() - _FAR_DISTANCE2
     mahalanobis = torch.where(mahalanobis < _FAR_DISTANCE2, mahalanobis, far)
     return 0.5 * mahalanobis + log_sx + log_sy + 0.5 * torch.log(one)
+
+
+def _evened(residual: Tensor, spread: Tensor) -> Tensor:
+    """Residuals (N, K, 2, h, w) times det(C)^(1/4) C^(-1/2), C the covariance of spread (N, K, 3, h, w).
+
+    They are as large in all, but each direction counts by how sure one can be in it.
+
+    A point along the body may lie here or there; what it says of its distance from the midline, and with that of an
+    end's direction, would otherwise be drowned.
+    """
+    log_sx, log_sy, rho = _spread_parts(spread)
+    sx, sy = torch.exp(log_sx), torch.exp(log_sy)
+    xx, xy, yy = sx**2, rho * sx * sy, sy**2
+    root = sx * sy * torch.sqrt(1 - rho**2)
+    # The square root of a 2 x 2 matrix C is (C + sqrt(det C)) / sqrt(trace C + 2 sqrt(det C)).
+    scale = torch.rsqrt((xx + yy + 2 * root) * root)
+    x, y = residual[:, :, 0], residual[:, :, 1]
+    return torch.stack([((yy + root) * x - xy * y) * scale, ((xx + root) * y - xy * x) * scale], dim=2)
 
 
 def _spread_parts(spread: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import torch
+
 from ...tracker.errors import CheckpointError
 from ..cascade import Cascade
 from ..checkpoint import Checkpoint, load_checkpoint
@@ -37,6 +39,8 @@ def parent_of(start: str, backbone: str) -> Checkpoint | None:
 def inherit(network: Cascade, keypoints: Sequence[str], parent: Checkpoint) -> dict[str, str]:
     """Put a parent's weights into a network with keypoints of its own.
 
+    Residual stages that the parent does not have say nothing at first.
+
     Returns
     -------
     The parent's keypoint for each of ours whose head was taken over; the other heads stay as they are.
@@ -46,6 +50,8 @@ def inherit(network: Cascade, keypoints: Sequence[str], parent: Checkpoint) -> d
     source = [row for name in taken.values() for row in _rows(parent.keypoints, name)]
     for own, other in ((network.locator, parent.network.locator), (network.refiner, parent.network.refiner)):
         state = own.state_dict()
+        for lateral in own.lateral[len(other.lateral) :].parameters():
+            torch.nn.init.zeros_(lateral)
         for name, value in other.state_dict().items():
             if name.startswith("head."):
                 state[name][to] = value[source]

@@ -74,8 +74,11 @@ def test_in_float16_it_is_half_as_large_and_nearly_the_same(checkpoint: Checkpoi
         torch.testing.assert_close(again.network.state_dict()[name], value, rtol=5e-4, atol=1e-7)
 
 
-def test_a_locator_of_three_stages_is_still_read(checkpoint: Checkpoint, tmp_path: Path) -> None:
-    early = replace(checkpoint, network=Cascade("resnet18", 5, locator_stages=3).eval())
+@pytest.mark.parametrize("stages", [(3, 2), (4, 2)])
+def test_networks_with_fewer_stages_are_still_read(
+    stages: tuple[int, int], checkpoint: Checkpoint, tmp_path: Path
+) -> None:
+    early = replace(checkpoint, network=Cascade("resnet18", 5, *stages).eval())
     early.save(tmp_path)
     frames = np.random.default_rng(0).integers(0, 255, (1, 120, 160, 3), dtype=np.uint8)
     np.testing.assert_array_equal(load_checkpoint(tmp_path).detect(frames).xy, early.detect(frames).xy)

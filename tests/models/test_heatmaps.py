@@ -79,6 +79,24 @@ def test_offset_loss_is_zero_at_the_truth_and_grows_away_from_it() -> None:
     assert loss(maps, xy)["heat"] < loss(maps, xy + 8)["heat"]
 
 
+def test_an_error_counts_for_more_in_the_direction_in_which_one_can_be_sure() -> None:
+    """A spread that is four times as long along (3, 4) as across: errors count two times and half as much."""
+    xy = np.array([[20.3, 17.8]])
+    along = np.array([0.6, 0.8])
+    across = np.array([-0.8, 0.6])
+    cov = 4.0 * np.outer(along, along) + 0.25 * np.outer(across, across)
+    maps, round_ = perfect(xy), perfect(xy)
+    sx, sy = np.sqrt(np.diag(cov))
+    maps.spread[:, :, 0], maps.spread[:, :, 1] = np.log(sx), np.log(sy)
+    maps.spread[:, :, 2] = np.arctanh(cov[0, 1] / (sx * sy) / 0.95)
+    small = 0.1  # px: where the loss grows with the square
+    as_before = loss(round_, xy + small * along)["offset"]
+    assert loss(round_, xy + small * across)["offset"] == pytest.approx(as_before, rel=0.02)
+    # The bump moves by the error too, which changes the weights a little.
+    assert loss(maps, xy + small * along)["offset"] == pytest.approx(as_before / 4, rel=0.02)
+    assert loss(maps, xy + small * across)["offset"] == pytest.approx(as_before * 4, rel=0.02)
+
+
 def test_an_unlabelled_point_costs_nothing_and_teaches_nothing() -> None:
     maps = Maps(*(part.requires_grad_() for part in perfect(np.array([[20.0, 20.0]]))))
     parts = heatmap_loss(

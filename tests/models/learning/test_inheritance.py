@@ -21,11 +21,11 @@ from bendtrack.tracker.angle import AngleDefinition
 KNOWN = ("base_1", "base_2", "middle", "tip_1", "tip_2")
 
 
-@pytest.fixture
-def parent() -> Checkpoint:
-    """A network with random weights, heads and statistics."""
+@pytest.fixture(params=[2, 3])
+def parent(request: pytest.FixtureRequest) -> Checkpoint:
+    """A network with random weights, heads and statistics; its refiner has as many stages as ours, or fewer."""
     torch.manual_seed(3)
-    network = Cascade("resnet18", len(KNOWN))
+    network = Cascade("resnet18", len(KNOWN), refiner_stages=request.param)
     with torch.no_grad():
         for value in network.state_dict().values():
             if value.dtype.is_floating_point:
