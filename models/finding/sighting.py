@@ -24,8 +24,12 @@ from .regions import WorkingRegion, body_length_px, find_region, patch_direction
 FIRST_SIDES = (96, 128, 192, 256)
 """Input px of a whole frame's long side at a first look: actuators fill a fifth of a picture, or nearly all of it."""
 
-BODY_SIDE = 64
-"""Input px of the body's length where it is looked at once more: as large as in most of pretraining's pictures."""
+BODY_SIDES = (64, 96)
+"""Input px of the body's length where it is looked at once more: as large as in most of pretraining's pictures, or as
+in the largest where more is seen then."""
+
+CLEARLY_MORE = 0.02
+"""How much more must be seen for a larger input, which takes longer in every frame."""
 
 SURE = 0.5
 """A keypoint counts as seen from this share of its usual peak on."""
@@ -157,7 +161,11 @@ def sight(glimpses: Frames, header: Header, finder: Finder) -> Sighting:
     # Once more where it is, at the scale that fits it, until that settles.
     for _ in range(2):
         xy = _seen(best)
-        best = look_again(_fitting_region(xy, (w, h)), best.fixed_xy, body_length_px(xy))
+        small, large = (
+            look_again(_fitting_region(xy, (w, h), side), best.fixed_xy, body_length_px(xy))
+            for side in BODY_SIDES
+        )
+        best = large if large.worth > small.worth + CLEARLY_MORE else small
     body_px = body_length_px(_seen(best))
     found = finder.refined(glimpses, best.xy, best.region, header.partner)
     xy = found.xy
@@ -281,10 +289,10 @@ def _seen(found: _Look) -> FloatArray:
     return found.xy[found.sound]
 
 
-def _fitting_region(xy: FloatArray, frame_wh: tuple[int, int]) -> WorkingRegion:
-    """Where bodies found at (N, K, 2) px can be, at the scales at which pretraining showed bodies."""
+def _fitting_region(xy: FloatArray, frame_wh: tuple[int, int], body_side: int) -> WorkingRegion:
+    """Where bodies found at (N, K, 2) px can be, at the scale at which they are `body_side` input px long."""
     region = find_region(xy, frame_wh)
-    fits = BODY_SIDE / max(body_length_px(xy), 1.0), FIRST_SIDES[-1] / max(region.width, region.height)
+    fits = body_side / max(body_length_px(xy), 1.0), FIRST_SIDES[-1] / max(region.width, region.height)
     return replace(region, locator_scale=min(1.0, *fits))
 
 
