@@ -5,6 +5,7 @@ pretraining is judged by. What is drawn is in `tracker.synthetic.stream`.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from ...tracker.types import BoolArray, FloatArray, ImageArray
 from ..finding.regions import MAX_MAGNIFICATION, PATCH_BODY_SHARE, WorkingRegion
 from ..finding.views import PATCH_SIDE
 from .dataset import PreparedFrame, prepare
+from .inheritance import counterparts
 
 PICTURE_SIDE = 320
 """Bodies are 60 to 300 px long in such pictures, as in a webcam's: a patch of one is as sharp as there."""
@@ -69,3 +71,14 @@ def rendered_samples(seed: int, indices: Sequence[int]) -> Iterator[tuple[Sample
         fine = min(MAX_MAGNIFICATION, PATCH_SIDE / (PATCH_BODY_SHARE * body_px(sample)))
         region = WorkingRegion(PICTURE_WH, 0, 0, *PICTURE_WH, LOCATOR_INPUT / PICTURE_SIDE, fine)
         yield sample, prepare(sample.picture, sample.keypoints_xy, region, sample.visible)
+
+
+def rendered_frames(seed: int, indices: Sequence[int], keypoints: Sequence[str]) -> list[PreparedFrame]:
+    """`rendered_samples` as frames with a project's keypoints; those are labelled that are `counterparts`."""
+    taken = counterparts(keypoints, KEYPOINTS)
+    rows = [KEYPOINTS.index(taken[name]) if name in taken else -1 for name in keypoints]
+    known = np.array(rows) >= 0
+    return [
+        replace(frame, xy=np.where(known[:, None], frame.xy[rows], np.nan), in_sight=frame.in_sight[rows])
+        for _, frame in rendered_samples(seed, indices)
+    ]

@@ -21,6 +21,7 @@ from torch import Tensor
 
 from ...tracker.angle import AngleDefinition, bending_angle
 from ...tracker.errors import LabelError, TrainingError
+from ...tracker.synthetic.stream import KEYPOINTS
 from ...tracker.types import Detections, FloatArray, LabelledFrame
 from ..cascade import Cascade
 from ..checkpoint import Checkpoint, best_device
@@ -32,9 +33,10 @@ from ..finding.regions import LOCATOR_SIDE, partner_lengths, partners, working_r
 from .consensus import consensus
 from .dataset import Batch, locator_batch, prepare, read_image, refiner_batch
 from .held_out import split
-from .inheritance import inherit, parent_of
+from .inheritance import counterparts, inherit, parent_of
 from .initialisation import load_backbone, resolve_init, starting_weights
 from .pair import Pair
+from .rendered import rendered_frames
 from .schedule import Schedule
 from .settings import TrainingSettings
 from .training_state import STATE_FILE, TrainingState, load_state, save_state, write_rows
@@ -44,6 +46,10 @@ EVALUATE_EVERY = 50
 
 CONSENSUS_FROM = 0.3
 """Share of the steps after which positions follow the averaged network: before, it knows less than a click."""
+
+REHEARSED, REHEARSED_AT_ONCE = 160, 2
+"""Rendered frames that a network which knows actuators is shown again, and how many of them beside each batch's own:
+what it knows of them in other light and before other backgrounds must not be lost on thirty frames of one room."""
 
 REFINER_BATCHES = 2
 LOCATOR_SHARE = 0.75
@@ -179,6 +185,10 @@ class _Trainer:
         self.regions = working_regions(labels, sizes)
         regions = {region.frame_wh: region for region in self.regions}
         self.partner = tuple(partners(labels))
+        knows_them = self.start == "actuator" and counterparts(self.keypoints, KEYPOINTS)
+        self.rehearsed = (
+            rendered_frames(self.settings.seed, range(REHEARSED), self.keypoints) if knows_them else []
+        )
         self.prepared = [
             prepare(picture, xy, regions[size])
             for picture, xy, size in zip(pictures, labels, sizes, strict=True)
@@ -242,10 +252,15 @@ class _Trainer:
             order = np.concatenate([rng.permutation(n) for _ in range(math.ceil(count / n))])[:count]
             chosen = [self.trained[i] for i in order]
             frames = {i: replace(self.prepared[i], xy=self.targets[i]) for i in set(chosen)}
+            again: list[int] = []
+            if self.rehearsed:
+                first = len(self.prepared)
+                again = (first + rng.choice(len(self.rehearsed), REHEARSED_AT_ONCE)).tolist()
+                frames |= {i: self.rehearsed[i - first] for i in again}
             if turn == 0:
                 some = chosen[: math.ceil(LOCATOR_SHARE * count)]
-                locate = locator_batch(frames, some, self.crop_wh, rng)
-            drawn.append(refiner_batch(frames, chosen, self.partner, rng))
+                locate = locator_batch(frames, some + again, self.crop_wh, rng)
+            drawn.append(refiner_batch(frames, chosen + again, self.partner, rng))
         return locate, drawn
 
     @property

@@ -20,6 +20,7 @@ from bendtrack.models.evaluation import evaluate, not_trained_on
 from bendtrack.models.learning import training
 from bendtrack.models.learning.consensus import consensus
 from bendtrack.models.learning.held_out import split
+from bendtrack.models.learning.rendered import rendered_frames
 from bendtrack.models.learning.settings import TrainingSettings
 from bendtrack.models.learning.training import Progress, train
 from bendtrack.tracker.angle import AngleDefinition
@@ -97,7 +98,7 @@ frames = [
 ]
 training.train(
     frames, keypoints, AngleDefinition("two-vector", keypoints), folder / sys.argv[3],
-    TrainingSettings(init="random", steps=20, batch_frames=2), resume="--resume" in sys.argv,
+    TrainingSettings(init="actuator", steps=20, batch_frames=2), resume="--resume" in sys.argv,
     progress=lambda p: print(p.step, flush=True),
 )
 """
@@ -129,6 +130,26 @@ def test_killed_and_resumed_equals_never_killed(make_frames: MakeFrames, tmp_pat
 
     first, second = (load_file(tmp_path / n / "weights.safetensors") for n in ("whole", "killed"))
     assert all(bool((first[name] == second[name]).all()) for name in first)
+
+
+@pytest.mark.slow
+def test_what_a_network_knew_of_other_actuators_it_keeps(
+    make_frames: MakeFrames, definition: AngleDefinition, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames = make_frames(np.linspace(0, 180, 8))
+    settings = TrainingSettings(init="actuator", steps=80, batch_frames=4)
+    others = rendered_frames(1000, range(60), KEYPOINTS)
+
+    def px_off(at_once: int) -> float:
+        """How far the refiner is off on rendered actuators that neither training has seen, median."""
+        monkeypatch.setattr(training, "REHEARSED_AT_ONCE", at_once)
+        checkpoint = train(frames, KEYPOINTS, definition, tmp_path / str(at_once), settings)
+        finder = checkpoint.network.finder()
+        found = [finder.refined(f.fine[None], f.xy[None], f.region, checkpoint.partner) for f in others]
+        off = np.stack([np.linalg.norm(p.xy[0] - f.xy, axis=1) for p, f in zip(found, others, strict=True)])
+        return float(np.median(off[np.stack([f.in_sight for f in others])]))
+
+    assert px_off(2) < 0.7 * px_off(0)
 
 
 def test_resuming_with_other_labels_or_nothing_to_resume_is_refused(
