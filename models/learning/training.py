@@ -288,7 +288,11 @@ class _Trainer:
         if self.settings.consensus and self.step >= CONSENSUS_FROM * self.schedule.total:
             found = self._detect(self.pair.average, self.trained).xy
             self.targets[self.trained] = consensus(
-                self.labels[self.trained], found, self.settings.consensus, self.patch_scale[self.trained]
+                self.labels[self.trained],
+                found,
+                self.settings.consensus,
+                self.patch_scale[self.trained],
+                [self.frames[i].video for i in self.trained],
             )
         self.rows.append(
             {

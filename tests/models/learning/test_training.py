@@ -29,6 +29,7 @@ from bendtrack.tracker.types import LabelledFrame
 
 KEYPOINTS = ("base_1", "base_2", "tip_1", "tip_2")
 MakeFrames = Callable[..., list[LabelledFrame]]
+VIDEO = ["default"] * 20
 TINY = TrainingSettings(init="random", steps=6, batch_frames=2)
 
 
@@ -249,12 +250,34 @@ def test_consensus_follows_the_network_but_not_to_another_keypoint() -> None:
     found = labels + 1.0
     found[7, 0] = labels[7, 0] + 40
     labels[3, 0] = np.nan
-    moved = consensus(labels, found, 0.7, np.ones(20))
+    moved = consensus(labels, found, 0.7, np.ones(20), VIDEO)
     np.testing.assert_allclose(moved[0, 0], labels[0, 0] + 0.7)
     np.testing.assert_allclose(moved[7, 0], labels[7, 0])
     assert np.isnan(moved[3, 0]).all()
     # A network that has learnt nothing moves nothing, however much its errors agree.
-    np.testing.assert_array_equal(consensus(labels, labels + 30.0, 0.7, np.ones(20)), labels)
+    np.testing.assert_array_equal(consensus(labels, labels + 30.0, 0.7, np.ones(20), VIDEO), labels)
+
+
+def test_what_rests_in_a_video_is_at_one_place_there() -> None:
+    rng = np.random.default_rng(1)
+    place = np.array([[50.0, 40.0]])
+    labels = place + rng.normal(0, 1, (20, 1, 2))
+    found = place + 0.5 * (labels - place)  # half of each error is known by heart
+    found[10:], labels[10:] = found[10:] + 7.0, labels[10:] + 7.0
+    labels[3, 0] += 40.0
+    two = ["first"] * 10 + ["second"] * 10
+    moved = consensus(labels, found, 0.7, np.ones(20), two)
+    np.testing.assert_allclose(moved[3], labels[3])
+    for rows in ([0, 1, 2, 4, 5, 6, 7, 8, 9], range(10, 20)):
+        assert np.ptp(moved[list(rows)], axis=0).max() == 0.0
+    assert np.linalg.norm(moved[0] - place) < 0.7
+    assert np.linalg.norm(moved[10] - place - 7.0) < 0.7
+    # Taken for one video it moved by 7 px, and each position is its own.
+    assert np.ptp(consensus(labels, found, 0.7, np.ones(20), VIDEO)[10:], axis=0).min() > 0.5
+    # What moves is left at its places, and so is what is seen too seldom to tell.
+    moving = labels + np.linspace(0, 30, 20)[:, None, None]
+    assert len(np.unique(consensus(moving, moving + 1.0, 0.7, np.ones(20), VIDEO)[:, 0, 0])) == 20
+    assert len(np.unique(consensus(labels[:4], found[:4], 0.7, np.ones(4), VIDEO[:4])[:, 0, 0])) == 4
 
 
 def test_a_full_disk_loses_nothing_that_was_saved(make_frames: MakeFrames, tmp_path: Path) -> None:
