@@ -123,6 +123,26 @@ def test_the_region_holds_every_pose_that_was_clearly_seen() -> None:
     assert seen.seen == pytest.approx(2 / 3)
 
 
+@pytest.mark.parametrize(("sees_all_from", "scale_share"), [(0, 1.0), (90, 1.5), (1000, 1.0)])
+def test_a_body_is_looked_at_larger_where_more_is_seen_then(sees_all_from: int, scale_share: float) -> None:
+    class ShortSighted(Oracle):
+        """Takes something beside the clamp for it in two frames of five, where the body is small."""
+
+        def offered(self, frames, region):
+            xy, peak = super().offered(frames, region)
+            if region.width < SIZE_WH[0] and 140 * region.locator_scale < sees_all_from:
+                xy[::5, :2] += 40.0
+                xy[1::5, :2] += 40.0
+            return xy, peak
+
+    finder = ShortSighted(arms(), np.full((30, 4), 0.6))
+    seen = sight(glimpses(30), HEADER, finder)
+    usual = sight(glimpses(30), HEADER, Oracle(arms(), np.full((30, 4), 0.6)))
+    assert seen.seen == pytest.approx(0.6 if sees_all_from == 1000 else 1.0)
+    scales = [s.header.region_for(SIZE_WH).locator_scale for s in (seen, usual)]
+    assert scales[0] / scales[1] == pytest.approx(scale_share, rel=0.05)
+
+
 def test_where_nothing_is_seen_it_is_said() -> None:
     with pytest.raises(VideoError, match=r"expected an actuator in sight, got one in 0 %"):
         sight(glimpses(30), HEADER, Oracle(arms(), np.full((30, 4), 0.1)))
