@@ -39,10 +39,13 @@ def detector_of(folder: Path, engine: str) -> NetworkDetector:
 
 @pytest.fixture(scope="module")
 def untrained(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A network with random weights, on disk with its engines."""
+    """A network with random weights, on disk with its engines; its cells disagree by px about where keypoints lie."""
     torch.manual_seed(0)
+    network = Cascade("resnet18", len(KEYPOINTS)).eval()
+    with torch.no_grad():
+        network.refiner.head.weight[len(KEYPOINTS) : 3 * len(KEYPOINTS)] *= 300
     checkpoint = Checkpoint(
-        network=Cascade("resnet18", 4).eval(),
+        network=network,
         backbone="resnet18",
         keypoints=KEYPOINTS,
         definition=AngleDefinition("two-vector", KEYPOINTS),
@@ -67,7 +70,7 @@ def test_what_moves_keypoints_too_far_is_refused_and_said(untrained: Path) -> No
     file = untrained / "weights.safetensors"
     record = engine_record(file, file_sha256(file))
     tried = record["engines"]["openvino-int8"]
-    # Peaks of a network that has learnt nothing are ties: rounding moves them far.
+    # What cells say in px, rounding changes by tenths of a px.
     assert tried["drift_px"] > MAX_DRIFT_PX
     assert not tried["passed"]
     assert not list(engine_folder(file).glob("*int8*"))
