@@ -70,7 +70,7 @@ def test_what_moves_keypoints_too_far_is_refused_and_said(untrained: Path) -> No
     file = untrained / "weights.safetensors"
     record = engine_record(file, file_sha256(file))
     tried = record["engines"]["openvino-int8"]
-    # What cells say in px, rounding changes by tenths of a px.
+    # What cells say in px, rounding changes by px.
     assert tried["drift_px"] > MAX_DRIFT_PX
     assert not tried["passed"]
     assert not list(engine_folder(file).glob("*int8*"))
