@@ -23,12 +23,20 @@ COLLAPSE_LIKELIHOOD = 0.15
 """A keypoint whose peak in the working region is under this is sought in the whole frame: a bend beyond the labelled
 ones may carry the tip out of the region. (Peaks of what is there are 0.4 to 0.9.)"""
 
-GRID_PATCH_PX = 4.0
-GRID_TURN_DEG = 3.0
-"""Where patches can be, and how they can be turned. Half a step of either is little beside what training varies."""
+PLACE_PX = 4.0
+PLACE_TURN_DEG = 3.0
+"""What places (`places`) are counted in: patch px from the frame's corner, and degrees of the patch's turn."""
 
-MOST_LOOKS = 3
-"""Patches of a keypoint in a frame: around where it may be, around what was found, and once more."""
+ASIDE_PATCH_PX = 2.0
+"""How far from a keypoint, to the right and below and then to the left and above, its two last patches are cut: less
+than patches in training were."""
+
+FAR_PATCH_PX = 3.0
+MOST_SIGHTINGS = 2
+"""Where a keypoint is found further than this from where it was thought to be, it is sought from there once more."""
+
+AGREED_PATCH_PX = 8.0
+"""Positions further apart are not of the same thing: the likelier is taken."""
 
 LOST_PATCH_PX = 16.0
 """A keypoint that locator and refiner put further apart than this is not the one that was learnt."""
@@ -122,34 +130,48 @@ class Finder:
         region: WorkingRegion,
         partner: Sequence[int],
     ) -> None:
-        """Look where keypoints may be, then around what was found there, until each is where it is looked for.
+        """Look where keypoints may be, then from two sides at what was found there: the mean of those two counts.
 
-        Who begins a little off ends at the same patch, and so at the same position. A keypoint between two places,
-        each of which points to the other, is at the mean of what is found in both.
+        Where a keypoint lies in its patch shifts what is found there, partly the same way and partly by chance. Seen
+        from two sides the one cancels and the other is halved; and who begins a little off ends at the same position.
 
         Parameters
         ----------
         found : where they may be, (N, K); what is found is written into it
-        wanted : (N, K) bool, which are to be looked for; it is changed
+        wanted : (N, K) bool, which are to be looked for
         """
-        values = (found.xy, found.likelihood, found.covariance)
-        at = places(found.xy, region, partner)
-        before = np.full_like(at, np.iinfo(at.dtype).min)
-        for _ in range(MOST_LOOKS):
-            if not wanted.any():
+        every = rows, keypoints = np.asarray(np.nonzero(wanted))
+        if not len(rows):
+            return
+        for _ in range(MOST_SIGHTINGS):
+            thought = found.xy[rows, keypoints]
+            seen = self._look(found, rows, keypoints, 0.0, frames, region, partner)
+            _put(found, rows, keypoints, seen)
+            off_px = np.linalg.norm(seen.xy[:, 0] - thought, axis=1)
+            far = off_px * region.refiner_scale > FAR_PATCH_PX
+            rows, keypoints = rows[far], keypoints[far]
+            if not len(rows):
                 break
-            earlier = [value.copy() for value in values]
-            rows, keypoints = np.nonzero(wanted)
-            patches = [cut_patch(frames[i], at[i, k], region) for i, k in np.argwhere(wanted).tolist()]
-            seen = self.read(patches, keypoints)
-            for value, new in zip(values, (seen.xy, seen.likelihood, seen.covariance), strict=True):
-                value[rows, keypoints] = new[:, 0]
-            following = places(found.xy, region, partner)
-            between = wanted & (following == before).all(axis=2)
-            for value, old in zip(values, earlier, strict=True):
-                value[between] = (value[between] + old[between]) / 2
-            wanted &= (following != at).any(axis=2) & ~between
-            before, at = at, following
+        rows, keypoints = every
+        aside = np.repeat([ASIDE_PATCH_PX, -ASIDE_PATCH_PX], len(rows))[:, None]
+        both = self._look(found, np.tile(rows, 2), np.tile(keypoints, 2), aside, frames, region, partner)
+        _put(found, rows, keypoints, agreed(*halves(both), AGREED_PATCH_PX / region.refiner_scale))
+
+    def _look(
+        self,
+        found: Detections,
+        rows: IntArray,
+        keypoints: IntArray,
+        aside: FloatArray | float,
+        frames: Frames,
+        region: WorkingRegion,
+        partner: Sequence[int],
+    ) -> Detections:
+        """What is seen of M keypoints, in patches cut `aside` (M, 1) px of theirs off where they may be, (M, 1)."""
+        at = places(found.xy, region, partner)[rows, keypoints]
+        at[:, :2] += aside / PLACE_PX
+        patches = [cut_patch(frames[i], own, region) for i, own in zip(rows, at, strict=True)]
+        return self.read(patches, keypoints)
 
     def read(self, patches: Sequence[Patch], keypoint: IntArray) -> Detections:
         """What the refiner finds in M patches, each asked for one keypoint: detections (M, 1), in frame px."""
@@ -180,32 +202,47 @@ def foretold(xy: FloatArray) -> Detections:
     return Detections(xy.copy(), np.zeros((n, k)), np.zeros((n, k, 2, 2)))
 
 
-def places(near: FloatArray, region: WorkingRegion, partner: Sequence[int]) -> IntArray:
-    """Where patches are cut for keypoints thought to be at `near` (..., K, 2) px: grid numbers (..., K, 3).
+def places(near: FloatArray, region: WorkingRegion, partner: Sequence[int]) -> FloatArray:
+    """Where patches are cut for keypoints thought to be at `near` (..., K, 2) px: middle x, middle y and turn.
 
-    They are middle x, middle y and turn, upright by each keypoint's partner. Where a patch is cut shifts what is found
-    in it by a tenth of a px; on a grid, a keypoint is looked at in the same way whoever said where it may be.
+    (..., K, 3), counted in `PLACE_PX` and `PLACE_TURN_DEG`; upright by each keypoint's partner
     """
-    return np.rint(on_grid(near, region, partner)).astype(int)
-
-
-def on_grid(near: FloatArray, region: WorkingRegion, partner: Sequence[int]) -> FloatArray:
-    """`places` before they are rounded."""
-    middle = near * (region.refiner_scale / GRID_PATCH_PX)
-    turn = patch_directions(near, partner) / np.deg2rad(GRID_TURN_DEG)
+    middle = near * (region.refiner_scale / PLACE_PX)
+    turn = patch_directions(near, partner) / np.deg2rad(PLACE_TURN_DEG)
     return np.concatenate([middle, turn[..., None]], axis=-1)
 
 
-def cut_patch(frame: ImageArray, place: IntArray, region: WorkingRegion) -> Patch:
+def cut_patch(frame: ImageArray, place: FloatArray | IntArray, region: WorkingRegion) -> Patch:
     """The patch of a frame at a place (3,)."""
-    middle = place[:2] * (GRID_PATCH_PX / region.refiner_scale)
-    turn = float(place[2] * np.deg2rad(GRID_TURN_DEG))
+    middle = place[:2] * (PLACE_PX / region.refiner_scale)
+    turn = float(place[2] * np.deg2rad(PLACE_TURN_DEG))
     if region.fine_scale == 1.0:
         view = patch_view(middle, region.magnification, turn)
         return Patch(view.cut(frame), view)
     source, source_view = _around(frame, middle, region)
     view = patch_view(source_view.to_input(middle), region.magnification, turn)
     return Patch(view.cut(source), view.after(source_view))
+
+
+def halves(both: Detections) -> tuple[Detections, Detections]:
+    """The first and the second half of detections (2 N, K)."""
+    n = len(both.xy) // 2
+    one, other = (
+        Detections(both.xy[side], both.likelihood[side], both.covariance[side])
+        for side in (slice(n), slice(n, None))
+    )
+    return one, other
+
+
+def agreed(one: Detections, other: Detections, within_px: float) -> Detections:
+    """Two readings (N, K) of the same: their mean where they are within a distance, else the likelier."""
+    near = np.linalg.norm(other.xy - one.xy, axis=2) <= within_px
+    share = np.where(near, 0.5, one.likelihood >= other.likelihood)
+    return Detections(
+        share[..., None] * one.xy + (1 - share[..., None]) * other.xy,
+        share * one.likelihood + (1 - share) * other.likelihood,
+        share[..., None, None] * one.covariance + (1 - share[..., None, None]) * other.covariance,
+    )
 
 
 def joined(parts: Sequence[Detections]) -> Detections:
@@ -215,6 +252,12 @@ def joined(parts: Sequence[Detections]) -> Detections:
         np.concatenate([part.likelihood for part in parts]),
         np.concatenate([part.covariance for part in parts]),
     )
+
+
+def _put(found: Detections, rows: IntArray, keypoints: IntArray, seen: Detections) -> None:
+    """Write what was seen of M keypoints, (M, 1), to what was found, (N, K)."""
+    found.xy[rows, keypoints], found.likelihood[rows, keypoints] = seen.xy[:, 0], seen.likelihood[:, 0]
+    found.covariance[rows, keypoints] = seen.covariance[:, 0]
 
 
 def _read(reader: Reader, pictures: Sequence[ImageArray]) -> Detections:

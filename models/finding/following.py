@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...tracker.types import BoolArray, Detections, FloatArray, Frames, IntArray
-from .finder import LOST_PATCH_PX, Finder, cut_patch, foretold, joined, on_grid
+from .finder import LOST_PATCH_PX, Finder, cut_patch, foretold, joined, places
 from .header import Header
 from .regions import WorkingRegion
 from .stillness import Sight
@@ -35,7 +35,7 @@ ENOUGH = 4
 """Times that a keypoint at rest is read; afterwards it is taken to be at the mean."""
 
 SAME_PLACE = 0.75
-"""Steps of the grid that a keypoint at rest may lie from where it is compared."""
+"""Places' own units that a keypoint at rest may lie from where it is compared."""
 
 Believed = Callable[[Detections, WorkingRegion], Detections]
 
@@ -112,7 +112,7 @@ class Follower:
         region, partner = self._region, self._header.partner
         moved_px = np.linalg.norm(self._step, axis=1) * region.refiner_scale
         resting = np.flatnonzero(moved_px < RESTING_PATCH_PX).tolist()
-        expected = on_grid(found.xy, region, partner)
+        expected = places(found.xy, region, partner)
         wanted = np.ones(expected.shape[:2], bool)
         anew: list[tuple[int, int, _Known]] = []
         for i, frame in enumerate(frames):

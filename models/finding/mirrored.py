@@ -9,10 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...tracker.types import Detections, ImageArray
-from .finder import Reader
-
-AGREED_PX = 8.0
-"""Positions further apart are not of the same thing: the likelier is taken."""
+from .finder import AGREED_PATCH_PX, Reader, agreed, halves
 
 
 class MirroredReader:
@@ -23,18 +20,11 @@ class MirroredReader:
 
     def __call__(self, pictures: ImageArray) -> Detections:
         """Every keypoint in pictures (N, 3, H, W) uint8."""
-        n, height = len(pictures), pictures.shape[2]
-        both = self._reader(np.concatenate([pictures, pictures[:, :, ::-1]]))
-        xy, likelihood, covariance = (part[:n] for part in (both.xy, both.likelihood, both.covariance))
-        other, other_likelihood = both.xy[n:].copy(), both.likelihood[n:]
-        other[..., 1] = height - 1 - other[..., 1]
-        other_covariance = both.covariance[n:] * np.array([[1, -1], [-1, 1]])
-        agreed = np.linalg.norm(other - xy, axis=2) <= AGREED_PX
-        first = agreed | (likelihood >= other_likelihood)
-        second = agreed | ~first
-        share = first / (first.astype(float) + second)
-        return Detections(
-            share[..., None] * xy + (1 - share[..., None]) * other,
-            share * likelihood + (1 - share) * other_likelihood,
-            share[..., None, None] * covariance + (1 - share[..., None, None]) * other_covariance,
+        height = pictures.shape[2]
+        one, other = halves(self._reader(np.concatenate([pictures, pictures[:, :, ::-1]])))
+        turned_back = Detections(
+            np.stack([other.xy[..., 0], height - 1 - other.xy[..., 1]], axis=-1),
+            other.likelihood,
+            other.covariance * np.array([[1, -1], [-1, 1]]),
         )
+        return agreed(one, turned_back, AGREED_PATCH_PX)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bendtrack.models.finding.calibration import Calibration
-from bendtrack.models.finding.finder import Finder
+from bendtrack.models.finding.finder import Finder, agreed
 from bendtrack.models.finding.following import CHECK_EVERY, Follower
 from bendtrack.models.finding.header import Header
 from bendtrack.models.finding.regions import WorkingRegion, partner_lengths
@@ -92,6 +92,39 @@ def test_covariances_turn_and_shrink_with_the_patch(finder: Finder, header: Head
         picture(arms(np.array([90.0]))[0])[None], arms(np.array([90.0])), REGION, header.partner
     )
     np.testing.assert_allclose(found.covariance[0, 2], np.diag([1.0, 4.0]) / 1.5**2, atol=0.02)
+
+
+def test_what_a_patch_adds_by_where_it_is_cut_cancels(header: Header) -> None:
+    """A network that draws what it finds toward the middle of its patch, and now and then sees another thing."""
+
+    class DrawnToTheMiddle(FindsSpots):
+        def __call__(self, pictures: np.ndarray) -> Detections:
+            found = super().__call__(pictures)
+            middle = (pictures.shape[2] - 1) / 2
+            return Detections(middle + 0.8 * (found.xy - middle), found.likelihood, found.covariance)
+
+    truth = arms(np.linspace(0, 330, 12))
+    frames = np.stack([picture(xy) for xy in truth])
+    for off_px in (0.0, 1.0, 3.0):
+        found = Finder(FindsSpots(), DrawnToTheMiddle()).refined(
+            frames, truth + off_px, REGION, header.partner
+        )
+        # Once it was looked for from 3 px away, 0.2 * 3 px would be left, and from what was found then 0.2 * 0.6.
+        np.testing.assert_allclose(found.xy, truth, atol=0.06 + 0.04 * off_px)
+
+
+def test_of_two_readings_far_apart_the_likelier_counts() -> None:
+    one, other = (
+        Detections(np.full((1, 2, 2), x), np.array([[0.8, 0.4]]), np.full((1, 2, 2, 2), x))
+        for x in (10.0, 13.0)
+    )
+    both = agreed(one, other, 8.0)
+    np.testing.assert_array_equal(both.xy, np.full((1, 2, 2), 11.5))
+    far = Detections(other.xy + 20.0, np.array([[0.5, 0.6]]), other.covariance)
+    both = agreed(one, far, 8.0)
+    np.testing.assert_array_equal(both.xy[0, :, 0], [10.0, 33.0])
+    np.testing.assert_array_equal(both.likelihood, [[0.8, 0.6]])
+    np.testing.assert_array_equal(both.covariance[0, :, 0, 0], [10.0, 13.0])
 
 
 def test_a_video_is_followed_and_seldom_searched(finder: Finder, header: Header) -> None:
