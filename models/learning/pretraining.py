@@ -321,6 +321,7 @@ class _Pretrainer:
     def save_state(self) -> None:
         """Write all that `restore` needs, and training.csv."""
         self.folder.mkdir(parents=True, exist_ok=True)
+        no_labels = np.empty((0, len(KEYPOINTS), 2))
         state = TrainingState(
             identity=self.settings.identity,
             step=self.step,
@@ -329,7 +330,8 @@ class _Pretrainer:
             rows=self.rows,
             best=None,
             best_step=0,
-            targets=np.empty((0, len(KEYPOINTS), 2)),
+            weighed=no_labels,
+            targets=no_labels,
             start=self.settings.init,
         )
         save_state(self.state_file, state, self.pair.learners)

@@ -29,8 +29,10 @@ class TrainingSettings:
         held-out error stops falling
     average : how much of the averaged weights is kept each step; the average is what is saved and judged
     consensus : how far training positions move from the labels to what the averaged network says, once it is
-        better than a single click. Thirty clicks with 1 px of error each then weigh together instead of being
-        learnt by heart one by one: on rendered trials this halves what a network adds to the label-noise floor.
+        better than a single click; 0 trains on the labels as they are. Thirty clicks with 1 px of error each then
+        weigh together instead of being learnt by heart one by one: on rendered trials this halves what a network adds
+        to the label-noise floor. Where a network knew the keypoints before, positions begin where its word and the
+        labels are weighed together (`consensus.weighed`).
     held_out : share of each actuator's frames that is not trained on but judged
     seed : everything random follows from it
     max_minutes : the schedule is shortened to end by then

@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -27,10 +28,10 @@ from ..cascade import Cascade
 from ..checkpoint import Checkpoint, best_device
 from ..evaluation import frame_id
 from ..finding.calibration import calibrate
-from ..finding.finder import LOCATOR_MULTIPLE, joined
+from ..finding.finder import LOCATOR_MULTIPLE, foretold, joined
 from ..finding.label_mean import label_offset, with_offset
 from ..finding.regions import LOCATOR_SIDE, partner_lengths, partners, working_regions
-from .consensus import consensus
+from .consensus import consensus, weighed
 from .dataset import Batch, locator_batch, prepare, read_image, refiner_batch
 from .held_out import split
 from .inheritance import counterparts, inherit, parent_of
@@ -148,6 +149,7 @@ class _Trainer:
         self.device = best_device()
         self.trained, self.held = split(frames, settings.held_out, settings.seed)
         self.start = resolve_init(settings.init, settings.backbone)
+        self.taken: dict[str, str] = {}
         self.settings = settings
         torch.manual_seed(settings.seed)
         network = Cascade(settings.backbone, len(keypoints))
@@ -171,7 +173,7 @@ class _Trainer:
     def _start_from(self, network: Cascade) -> None:
         parent = parent_of(self.start, self.settings.backbone)
         if parent is not None:
-            inherit(network, self.keypoints, parent)
+            self.taken = inherit(network, self.keypoints, parent)
             return
         weights = starting_weights(self.start, self.settings.backbone)
         if weights is not None:
@@ -195,7 +197,7 @@ class _Trainer:
         ]
         self.patch_scale = np.array([frame.region.refiner_scale for frame in self.prepared])
         self.labels = labels
-        self.targets = labels.copy()
+        self.weighed, self.targets = labels.copy(), labels.copy()
         # Pictures are kept for evaluation at the scales that detection cuts itself.
         self.pictures = pictures
         widest = [max(r.locator_view(LOCATOR_MULTIPLE).size_wh[i] for r in self.regions) for i in (0, 1)]
@@ -219,6 +221,8 @@ class _Trainer:
     def run(self, progress: Callable[[Progress], None] | None) -> None:
         """Train until the schedule ends."""
         begun = time.monotonic() - self.elapsed_s
+        if self.settings.consensus and self.step == 0:
+            self._weigh()
         limit_s = None if self.settings.max_minutes is None else self.settings.max_minutes * 60
         with ThreadPoolExecutor(max_workers=1) as pool, self.pair:
             batches = pool.submit(self._batches, self.step)
@@ -272,6 +276,30 @@ class _Trainer:
             [network.detect(self.pictures[i][None], self.prepared[i].region, self.partner) for i in indices]
         )
 
+    def _weigh(self) -> None:
+        """Before the first step: weigh labels with what the network finds, of keypoints that it knows already."""
+        if not self.taken:
+            return
+        finder, found = self.pair.average.finder(), []
+        for i in self.trained:
+            known = ~np.isnan(self.labels[i]).any(axis=1)
+            known &= known[list(self.partner)] & np.isin(self.keypoints, list(self.taken))
+            seen = foretold(np.nan_to_num(self.labels[i])[None])
+            finder.settle(seen, known[None], self.pictures[i][None], self.prepared[i].region, self.partner)
+            found.append(np.where(known[:, None], seen.xy[0], np.nan))
+        self.weighed[self.trained] = weighed(
+            self.labels[self.trained], np.array(found), self.partner, **self._of_trained
+        )
+        self.targets = self.weighed.copy()
+
+    @property
+    def _of_trained(self) -> dict[str, Any]:
+        """What consensus is told of the frames trained on."""
+        return {
+            "patch_scale": self.patch_scale[self.trained],
+            "videos": [self.frames[i].video for i in self.trained],
+        }
+
     def _evaluate(self, loss: float) -> None:
         """Judge the averaged network on the held-out frames, and let the targets follow it."""
         if self.held:
@@ -288,11 +316,7 @@ class _Trainer:
         if self.settings.consensus and self.step >= CONSENSUS_FROM * self.schedule.total:
             found = self._detect(self.pair.average, self.trained).xy
             self.targets[self.trained] = consensus(
-                self.labels[self.trained],
-                found,
-                self.settings.consensus,
-                self.patch_scale[self.trained],
-                [self.frames[i].video for i in self.trained],
+                self.weighed[self.trained], found, self.settings.consensus, **self._of_trained
             )
         self.rows.append(
             {
@@ -367,6 +391,7 @@ class _Trainer:
                 rows=self.rows,
                 best=self.best,
                 best_step=self.best_step,
+                weighed=self.weighed,
                 targets=self.targets,
                 start=self.start,
             ),
@@ -381,7 +406,7 @@ class _Trainer:
         state = load_state(self.state_file, self.pair.learners, self.identity)
         self.step, self.elapsed_s, self.schedule = state.step, state.elapsed_s, state.schedule
         self.rows, self.best, self.best_step = state.rows, state.best, state.best_step
-        self.targets, self.start = state.targets, state.start
+        self.weighed, self.targets, self.start = state.weighed, state.targets, state.start
         if self.rows:
             self.last_px, self.last_deg = self.rows[-1]["held_out_px"], self.rows[-1]["held_out_deg"]
 

@@ -18,7 +18,7 @@ from bendtrack.models.checkpoint import load_checkpoint
 from bendtrack.models.detector import NetworkDetector
 from bendtrack.models.evaluation import evaluate, not_trained_on
 from bendtrack.models.learning import training
-from bendtrack.models.learning.consensus import consensus
+from bendtrack.models.learning.consensus import consensus, weighed
 from bendtrack.models.learning.held_out import split
 from bendtrack.models.learning.rendered import rendered_frames
 from bendtrack.models.learning.settings import TrainingSettings
@@ -256,6 +256,33 @@ def test_consensus_follows_the_network_but_not_to_another_keypoint() -> None:
     assert np.isnan(moved[3, 0]).all()
     # A network that has learnt nothing moves nothing, however much its errors agree.
     np.testing.assert_array_equal(consensus(labels, labels + 30.0, 0.7, np.ones(20), VIDEO), labels)
+
+
+def test_labels_are_weighed_by_how_far_a_network_and_they_are_apart() -> None:
+    """Four keypoints on a moving body: the network knows two, is unsure of one along the body, and lost at the last."""
+    rng = np.random.default_rng(2)
+    along = np.array([[0.0, 0.0], [30.0, 0.0], [60.0, 0.0], [90.0, 0.0]])
+    truth = along + rng.uniform(0, 200, (30, 1, 2))
+    off = rng.normal(0, 0.2, truth.shape)
+    off[:, 2, 0] = rng.normal(0, 2.0, 30)
+    off[:, 3] += rng.normal(0, 4.0, (30, 2))
+    partner, scale, one = (1, 0, 3, 2), np.ones(30), ["one"] * 30
+
+    def error_px(labels: np.ndarray, moved: np.ndarray) -> np.ndarray:
+        # The labels' mean is kept: what it is off by is no business of this.
+        return np.asarray((moved - truth - (labels - truth).mean(axis=0)).std(axis=0))
+
+    labels = truth + rng.normal(0, 1.0, truth.shape)
+    # It puts every keypoint elsewhere than this hand, always in the same way.
+    error = error_px(labels, weighed(labels, truth + off + [1.5, -1.0], partner, scale, one))
+    assert error[:2].max() < 0.5  # px, where each click is off by one
+    assert error[2, 1] < 0.5 < error[2, 0] < 1.0
+    assert (error[3] < error_px(labels, labels)[3] + 0.05).all()
+    # From an exact hand nothing is to be gained, and little is lost: a tenth of what the network is off by.
+    exact = weighed(truth, truth + off, partner, scale, one)
+    assert error_px(truth, exact).max() < 0.25
+    # Four frames tell nothing of either's error.
+    np.testing.assert_array_equal(weighed(labels[:4], truth[:4], partner, scale[:4], VIDEO[:4]), labels[:4])
 
 
 def test_what_rests_in_a_video_is_at_one_place_there() -> None:
