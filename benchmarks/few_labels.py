@@ -286,7 +286,10 @@ def draw(path: Path, rows: Mapping[tuple[str, str], Sequence[tuple[Result, float
     floors = [np.median([floor for _, floor in rows[starts[0], keys[i]]]) for i in labelled]
     axes.plot(labelled, floors, "--", color="0.4", lw=1, label="label-noise floor")
     axes.set_yscale("log")
-    axes.set_yticks([0.3, 1, 3, 10, 30, 100], ["0.3", "1", "3", "10", "30", "100"])
+    limits = axes.get_ylim()
+    ticks = (0.2, 0.5, 1, 2, 5, 10, 20, 50, 100)
+    axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+    axes.set_ylim(limits)  # ticks beyond what was measured would stretch them
     axes.minorticks_off()
     axes.set_xticks(range(len(keys)), keys)
     axes.set_xlabel("labelled frames (1 px of noise)")
