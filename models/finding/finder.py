@@ -28,8 +28,8 @@ PLACE_TURN_DEG = 3.0
 """What places (`places`) are counted in: patch px from the frame's corner, and degrees of the patch's turn."""
 
 ASIDE_PATCH_PX = 2.0
-"""How far from a keypoint, to the right and below and then to the left and above, its two last patches are cut: less
-than patches in training were."""
+"""How far to the right of a keypoint and below it one of its two last patches is cut, and to the left and above the
+other: less than patches are shifted in training."""
 
 FAR_PATCH_PX = 3.0
 MOST_SIGHTINGS = 2
