@@ -117,9 +117,9 @@ class Finder:
     def refined(
         self, frames: Frames, xy: FloatArray, region: WorkingRegion, partner: Sequence[int]
     ) -> Detections:
-        """Look closely at each keypoint, near where it is thought to be, xy (N, K, 2) px."""
+        """Look closely at each keypoint, near where it is thought to be, xy (N, K, 2) px; what is NaN stays NaN."""
         found = foretold(xy)
-        self.settle(found, np.ones(xy.shape[:2], bool), frames, region, partner)
+        self.settle(found, np.logical_not(np.isnan(xy).any(axis=2)), frames, region, partner)
         return found
 
     def settle(

@@ -14,7 +14,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -23,12 +22,12 @@ from torch import Tensor
 from ...tracker.angle import AngleDefinition, bending_angle
 from ...tracker.errors import LabelError, TrainingError
 from ...tracker.synthetic.stream import KEYPOINTS
-from ...tracker.types import Detections, FloatArray, LabelledFrame
+from ...tracker.types import BoolArray, Detections, FloatArray, LabelledFrame
 from ..cascade import Cascade
 from ..checkpoint import Checkpoint, best_device
 from ..evaluation import frame_id
 from ..finding.calibration import calibrate
-from ..finding.finder import LOCATOR_MULTIPLE, foretold, joined
+from ..finding.finder import LOCATOR_MULTIPLE, joined
 from ..finding.label_mean import label_offset, with_offset
 from ..finding.regions import LOCATOR_SIDE, partner_lengths, partners, working_regions
 from .consensus import consensus, weighed
@@ -280,25 +279,23 @@ class _Trainer:
         """Before the first step: weigh labels with what the network finds, of keypoints that it knows already."""
         if not self.taken:
             return
-        finder, found = self.pair.average.finder(), []
-        for i in self.trained:
-            known = ~np.isnan(self.labels[i]).any(axis=1)
-            known &= known[list(self.partner)] & np.isin(self.keypoints, list(self.taken))
-            seen = foretold(np.nan_to_num(self.labels[i])[None])
-            finder.settle(seen, known[None], self.pictures[i][None], self.prepared[i].region, self.partner)
-            found.append(np.where(known[:, None], seen.xy[0], np.nan))
+        known: BoolArray = np.logical_not(np.isnan(self.labels).any(axis=2))
+        known &= known[:, self.partner] & np.isin(self.keypoints, list(self.taken))
+        near = np.where(known[..., None], self.labels, np.nan)
+        finder = self.pair.average.finder()
+        found = [
+            finder.refined(self.pictures[i][None], near[i][None], self.prepared[i].region, self.partner)
+            for i in self.trained
+        ]
         self.weighed[self.trained] = weighed(
-            self.labels[self.trained], np.array(found), self.partner, **self._of_trained
+            self.labels[self.trained], joined(found).xy, self.partner, *self._scales_and_videos
         )
         self.targets = self.weighed.copy()
 
     @property
-    def _of_trained(self) -> dict[str, Any]:
-        """What consensus is told of the frames trained on."""
-        return {
-            "patch_scale": self.patch_scale[self.trained],
-            "videos": [self.frames[i].video for i in self.trained],
-        }
+    def _scales_and_videos(self) -> tuple[FloatArray, list[str]]:
+        """Of the frames trained on."""
+        return self.patch_scale[self.trained], [self.frames[i].video for i in self.trained]
 
     def _evaluate(self, loss: float) -> None:
         """Judge the averaged network on the held-out frames, and let the targets follow it."""
@@ -316,7 +313,7 @@ class _Trainer:
         if self.settings.consensus and self.step >= CONSENSUS_FROM * self.schedule.total:
             found = self._detect(self.pair.average, self.trained).xy
             self.targets[self.trained] = consensus(
-                self.weighed[self.trained], found, self.settings.consensus, **self._of_trained
+                self.weighed[self.trained], found, self.settings.consensus, *self._scales_and_videos
             )
         self.rows.append(
             {
