@@ -20,7 +20,7 @@ from ...tracker.angle import AngleDefinition
 from ...tracker.errors import BendtrackError, CheckpointError
 from ...tracker.types import BoolArray, Detections, FloatArray
 from .calibration import Calibration
-from .label_mean import with_offset
+from .label_offset import with_offset
 from .regions import WorkingRegion
 
 WEIGHTS_FILE = "weights.safetensors"
@@ -48,7 +48,7 @@ class Header:
     regions : one for each frame size among the labels
     partner : for each keypoint the one that its patch is turned by
     calibration : what turns the network's spreads into covariances of positions
-    label_offset : for each keypoint from `label_mean.label_offset`; empty where it is in the weights
+    label_offset : for each keypoint from `learning.consensus.label_offset`; empty where it is in the weights
     lengths : for each keypoint the shortest and the longest labelled distance from its partner, in patch px
         (`regions.partner_lengths`); empty where nobody labelled any
     training : settings, what the weights started from, frames trained on and held out
@@ -60,7 +60,7 @@ class Header:
     regions: tuple[WorkingRegion, ...]
     partner: tuple[int, ...]
     calibration: Calibration
-    label_offset: tuple[tuple[float, float], ...] = ()
+    label_offset: tuple[tuple[tuple[float, float], ...], ...] = ()
     lengths: tuple[tuple[float, float], ...] = ()
     training: Mapping[str, Any] = field(default_factory=dict)
 
@@ -88,7 +88,7 @@ class Header:
         return np.asarray((apart >= SHORTER * shortest) & (apart <= LONGER * longest))
 
     def calibrated(self, found: Detections, region: WorkingRegion) -> Detections:
-        """What the networks found in frames of a region, with the labels' mean and believable uncertainties.
+        """What the networks found in frames of a region, put where labels lie, with believable uncertainties.
 
         A keypoint that lies nowhere near as far from its partner as in the labels is not believed at all.
         """
@@ -112,7 +112,7 @@ class Header:
             },
             "regions": [region.to_dict() for region in self.regions],
             "partner": list(self.partner),
-            "label_offset_patch_px": [list(offset) for offset in self.label_offset],
+            "label_offset_patch_px": [[list(wave) for wave in offset] for offset in self.label_offset],
             # JSON knows no infinity.
             "lengths_patch_px": [[low, None if high == np.inf else high] for low, high in self.lengths],
             "calibration": {**asdict(self.calibration), "usual_peak": list(self.calibration.usual_peak)},
@@ -166,12 +166,17 @@ def read_header(path: Path, backbones: Sequence[str] = ()) -> Header:
             regions=tuple(WorkingRegion.from_dict(r) for r in header["regions"]),
             partner=tuple(header["partner"]),
             calibration=Calibration.from_dict(header["calibration"]),
-            label_offset=tuple((x, y) for x, y in header.get("label_offset_patch_px", [])),
+            label_offset=tuple(_offset(values) for values in header.get("label_offset_patch_px", [])),
             lengths=tuple(
                 (low, np.inf if high is None else high) for low, high in header.get("lengths_patch_px", [])
             ),
             training=header["training"],
         )
+
+
+def _offset(values: Sequence[Any]) -> tuple[tuple[float, float], ...]:
+    """A keypoint's label offset: of each wave, or as networks were saved before, the same in all attitudes."""
+    return tuple((x, y) for x, y in (values if np.ndim(values) == 2 else [values]))
 
 
 @contextmanager

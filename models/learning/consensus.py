@@ -1,10 +1,12 @@
-"""Noisy labels weighed together: positions to train on that follow the averaged network where it agrees.
+"""Noisy labels against what a network finds: positions to train on, and where labels lie beside what it finds.
 
-Every label is off by a click's error, and a network can learn thirty such errors by heart. One that knows the keypoints
-before it has seen a label says where the labels are off; its word counts as far as it is right (`weighed`). While it
-learns, its running average agrees with what the labels have in common before it agrees with each; moving the positions
-toward it and training on keeps it there (`consensus`). Of a fixed end, which is at one place in all frames of a video,
-shadows tell the frames apart; there the positions are put together.
+Every label is off by a click's error, and a network can learn thirty such errors by heart. What labels have in common
+against it, as ends turn, is its own error (`residuals`); corrected by that it is far nearer to the truth than a click.
+Positions to train on are such: first of a network that knows the keypoints before it has seen a label, later of the
+running average of the one that learns. What is left of its error when training ends comes off whatever it finds.
+
+Of a fixed end, which is at one place in all frames of a video, shadows tell the frames apart; there the positions are
+put together.
 """
 
 from __future__ import annotations
@@ -14,84 +16,100 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...tracker.types import BoolArray, FloatArray
-from ..finding.label_mean import label_offset, with_offset
+from ..finding.label_offset import with_offset
 from ..finding.regions import patch_directions, turned
+from .residuals import NetworkErrors, network_errors
 
 REACH = 4.0
-"""A prediction further than this from its label, in median distances, is not believed: perhaps another keypoint."""
+"""A label further from where what was found lets it expect, in median distances, counts nowhere: one of the two is of
+another keypoint."""
 
 LIMIT_PATCH_PX = 6.0
-"""Nor is one further than this, in px of the refiner's patches: no label is so far off, the network is."""
+"""Nor does a target follow one further than this, in px of the refiner's patches: no label is so far off, the network
+is."""
 
 LEAST = 5
 """Frames from which it is believed that a keypoint rests in their video, or how far a network is off."""
 
 
-def weighed(
+def label_offset(
+    found: FloatArray, labels: FloatArray, partner: Sequence[int], patch_scale: FloatArray
+) -> FloatArray:
+    """Where the labels lie beside what was found, for `finding.label_offset.with_offset`.
+
+    What is the same in all attitudes is known as exactly as the labels' mean, to the label-noise floor; nothing else
+    has to be learnt for it. What changes with the attitude counts as far as there is evidence for it.
+
+    Parameters
+    ----------
+    found, labels : (N, K, 2) px; NaN where not labelled
+    partner : from `regions.partners`
+    patch_scale : (N,) px of the refiner's patches for one px of the frame
+
+    Returns
+    -------
+    (K, 1 + 2 WAVES, 2) px of the upright patch; 0 for a keypoint that was never labelled
+    """
+    residual, distance = _apart(found, labels, partner, patch_scale)
+    return _by_keypoint(_errors(residual, _near(distance), patch_directions(found, partner)).slow)
+
+
+def without_noise(
     labels: FloatArray,
     found: FloatArray,
     partner: Sequence[int],
     patch_scale: FloatArray,
     videos: Sequence[str],
 ) -> FloatArray:
-    """Labels moved toward what a network finds that knows the keypoints and has not seen the labels.
+    """What a network finds less its own errors, in frames with labels.
 
-    It need not put a keypoint where this hand does, so it is moved to the labels' mean first (`label_mean`). What then
-    lies between the two is both their errors. The hand's are as large for every keypoint and in every direction: at
-    most as large as what lies between where that is least. What is more elsewhere is the network's error, and either
-    counts there by the other's variance.
+    A keypoint that is found to move by less, within a video, than labels are off is at rest there: its positions are
+    the median of all.
 
     Parameters
     ----------
-    labels, found : (N, K, 2) px; a label that `found` is too far from stays as it is, and so do all of a keypoint with
-        fewer than `LEAST`
+    labels, found : (N, K, 2) px; a label that counts nowhere stays as it is, and so do all of a keypoint with fewer
+        than `LEAST` others
     partner : from `regions.partners`
     patch_scale : (N,) px of the refiner's patches for one px of the frame
     videos : which video each of the N frames is from
     """
-    offset = label_offset(found, labels, partner, patch_scale)
-    expected = with_offset(found, offset, partner, patch_scale)
-    direction = patch_directions(expected, partner)
-    apart = turned(expected - labels, -direction)
-    near = _near(np.linalg.norm(apart, axis=2), patch_scale)
-    known = near.sum(axis=0) >= LEAST
-    if not known.any():
-        return labels.copy()
-    square = np.where(near[..., None], apart**2, 0.0).sum(axis=0)[known]
-    variance = np.maximum(square / near.sum(axis=0)[known, None], np.finfo(float).tiny)
-    share = np.zeros((len(known), 2))
-    # Of eight and more such numbers, the least is so by chance too.
-    share[known] = np.minimum(1.0, np.sort(variance, axis=None)[1] / variance)
-    moved = np.where(near[..., None], labels + turned(share * apart, direction), labels)
-    return _at_rest(moved, expected, labels, near & known, videos)
+    residual, distance = _apart(found, labels, partner, patch_scale)
+    near = _near(distance) & (np.nan_to_num(distance, nan=np.inf) <= LIMIT_PATCH_PX)
+    near &= near.sum(axis=0) >= LEAST
+    errors = _errors(residual, near, patch_directions(found, partner))
+    expected = with_offset(found, _by_keypoint(errors.slow), partner, patch_scale)
+    sudden = _by_keypoint(errors.sudden).transpose(1, 0, 2) / patch_scale[:, None, None]
+    moved = expected + turned(sudden, patch_directions(found, partner))
+    return _at_rest(np.where(near[..., None], moved, labels), expected, labels, near, videos)
 
 
-def consensus(
-    labels: FloatArray, found: FloatArray, share: float, patch_scale: FloatArray, videos: Sequence[str]
-) -> FloatArray:
-    """Labels moved by `share` toward what a network finds, where it agrees with them.
-
-    A keypoint that the network finds to move by less, within a video, than labels are off is at rest there: its
-    positions are the median of all.
-
-    Parameters
-    ----------
-    labels, found : (N, K, 2) px; a label that `found` is too far from stays as it is
-    share : 0 leaves all labels, 1 replaces them
-    patch_scale : (N,) px of the refiner's patches for one px of the frame
-    videos : which video each of the N frames is from
-    """
-    near = _near(np.linalg.norm(found - labels, axis=2), patch_scale)
-    moved = np.where(near[..., None], labels + share * (found - labels), labels)
-    return _at_rest(moved, found, labels, near, videos)
+def _apart(
+    found: FloatArray, labels: FloatArray, partner: Sequence[int], patch_scale: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Labels less found (N, K, 2) patch px in the keypoints' own axes, and how far those are from usual, (N, K)."""
+    residual = turned(labels - found, -patch_directions(found, partner)) * patch_scale[:, None, None]
+    usual = np.array([[_median(residual[:, k, i]) for i in (0, 1)] for k in range(labels.shape[1])])
+    return residual, np.linalg.norm(residual - usual, axis=2)
 
 
-def _near(distance: FloatArray, patch_scale: FloatArray) -> BoolArray:
-    """Which predictions (N, K) are near enough to their labels to be believed."""
+def _near(distance: FloatArray) -> BoolArray:
+    """Which labels are near enough to what was found to count, from how far they are from usual (N, K)."""
     reach = REACH * np.array([_median(distance[:, k]) for k in range(distance.shape[1])])
     with np.errstate(invalid="ignore"):
-        near: BoolArray = distance <= np.minimum(reach, LIMIT_PATCH_PX / patch_scale[:, None])
+        near: BoolArray = distance <= reach
     return near
+
+
+def _errors(residual: FloatArray, near: BoolArray, direction: FloatArray) -> NetworkErrors:
+    """`network_errors` of residuals (N, K, 2), along and across, a keypoint after the other."""
+    rows = np.nan_to_num(residual.transpose(1, 2, 0).reshape(-1, len(residual)))
+    return network_errors(rows, np.repeat(near.T, 2, axis=0), np.repeat(direction.T, 2, axis=0))
+
+
+def _by_keypoint(rows: FloatArray) -> FloatArray:
+    """Rows (2 K, M) of `_errors` as (K, M, 2)."""
+    return rows.reshape(len(rows) // 2, 2, -1).transpose(0, 2, 1)
 
 
 def _at_rest(

@@ -330,7 +330,6 @@ class _Pretrainer:
             rows=self.rows,
             best=None,
             best_step=0,
-            weighed=no_labels,
             targets=no_labels,
             start=self.settings.init,
         )

@@ -28,11 +28,10 @@ class TrainingSettings:
     decay_share : share of the steps in which the learning rate falls to zero; it begins earlier when the
         held-out error stops falling
     average : how much of the averaged weights is kept each step; the average is what is saved and judged
-    consensus : how far training positions move from the labels to what the averaged network says, once it is
-        better than a single click; 0 trains on the labels as they are. Thirty clicks with 1 px of error each then
-        weigh together instead of being learnt by heart one by one: on rendered trials this halves what a network adds
-        to the label-noise floor. Where a network knew the keypoints before, positions begin where its word and the
-        labels are weighed together (`consensus.weighed`).
+    consensus : how far training positions move from the labels to what the averaged network says less its own errors
+        (`consensus.without_noise`), at once where it knew the keypoints before, else once it is better than a single
+        click; 0 trains on the labels as they are. Thirty clicks with 1 px of error each then weigh together instead
+        of being learnt by heart one by one.
     held_out : share of each actuator's frames that is not trained on but judged
     seed : everything random follows from it
     max_minutes : the schedule is shortened to end by then
@@ -46,7 +45,7 @@ class TrainingSettings:
     weight_decay: float = 1e-2
     decay_share: float = 0.5
     average: float = 0.98
-    consensus: float = 0.7
+    consensus: float = 1.0
     held_out: float = 0.1
     seed: int = 0
     max_minutes: float | None = None

@@ -28,9 +28,10 @@ from ..checkpoint import Checkpoint, best_device
 from ..evaluation import frame_id
 from ..finding.calibration import calibrate
 from ..finding.finder import LOCATOR_MULTIPLE, joined
-from ..finding.label_mean import label_offset, with_offset
+from ..finding.label_offset import with_offset
+from ..finding.mirrored import MirroredReader
 from ..finding.regions import LOCATOR_SIDE, partner_lengths, partners, working_regions
-from .consensus import consensus, weighed
+from .consensus import label_offset, without_noise
 from .dataset import Batch, locator_batch, prepare, read_image, refiner_batch
 from .held_out import split
 from .inheritance import counterparts, inherit, parent_of
@@ -196,7 +197,7 @@ class _Trainer:
         ]
         self.patch_scale = np.array([frame.region.refiner_scale for frame in self.prepared])
         self.labels = labels
-        self.weighed, self.targets = labels.copy(), labels.copy()
+        self.targets = labels.copy()
         # Pictures are kept for evaluation at the scales that detection cuts itself.
         self.pictures = pictures
         widest = [max(r.locator_view(LOCATOR_MULTIPLE).size_wh[i] for r in self.regions) for i in (0, 1)]
@@ -220,8 +221,8 @@ class _Trainer:
     def run(self, progress: Callable[[Progress], None] | None) -> None:
         """Train until the schedule ends."""
         begun = time.monotonic() - self.elapsed_s
-        if self.settings.consensus and self.step == 0:
-            self._weigh()
+        if self.settings.consensus and self.taken and self.step == 0:
+            self._aim_as_known()
         limit_s = None if self.settings.max_minutes is None else self.settings.max_minutes * 60
         with ThreadPoolExecutor(max_workers=1) as pool, self.pair:
             batches = pool.submit(self._batches, self.step)
@@ -275,27 +276,27 @@ class _Trainer:
             [network.detect(self.pictures[i][None], self.prepared[i].region, self.partner) for i in indices]
         )
 
-    def _weigh(self) -> None:
-        """Before the first step: weigh labels with what the network finds, of keypoints that it knows already."""
-        if not self.taken:
-            return
+    def _aim_as_known(self) -> None:
+        """Before the first step: move the targets of keypoints that the network knows already."""
         known: BoolArray = np.logical_not(np.isnan(self.labels).any(axis=2))
         known &= known[:, self.partner] & np.isin(self.keypoints, list(self.taken))
         near = np.where(known[..., None], self.labels, np.nan)
         finder = self.pair.average.finder()
+        finder = replace(
+            finder, refine=MirroredReader(finder.refine)
+        )  # it was pretrained with mirrored pictures
         found = [
             finder.refined(self.pictures[i][None], near[i][None], self.prepared[i].region, self.partner)
             for i in self.trained
         ]
-        self.weighed[self.trained] = weighed(
-            self.labels[self.trained], joined(found).xy, self.partner, *self._scales_and_videos
-        )
-        self.targets = self.weighed.copy()
+        self._aim(joined(found).xy)
 
-    @property
-    def _scales_and_videos(self) -> tuple[FloatArray, list[str]]:
-        """Of the frames trained on."""
-        return self.patch_scale[self.trained], [self.frames[i].video for i in self.trained]
+    def _aim(self, found: FloatArray) -> None:
+        """Move the targets toward what was found in the frames trained on."""
+        labels, scale = self.labels[self.trained], self.patch_scale[self.trained]
+        videos = [self.frames[i].video for i in self.trained]
+        better = without_noise(labels, found, self.partner, scale, videos)
+        self.targets[self.trained] = labels + self.settings.consensus * (better - labels)
 
     def _evaluate(self, loss: float) -> None:
         """Judge the averaged network on the held-out frames, and let the targets follow it."""
@@ -311,10 +312,7 @@ class _Trainer:
                 self.best = self.pair.state_of_average()
                 self.best_step = self.step
         if self.settings.consensus and self.step >= CONSENSUS_FROM * self.schedule.total:
-            found = self._detect(self.pair.average, self.trained).xy
-            self.targets[self.trained] = consensus(
-                self.weighed[self.trained], found, self.settings.consensus, *self._scales_and_videos
-            )
+            self._aim(self._detect(self.pair.average, self.trained).xy)
         self.rows.append(
             {
                 "step": self.step,
@@ -370,7 +368,7 @@ class _Trainer:
             regions=self.regions,
             partner=self.partner,
             calibration=calibration,
-            label_offset=tuple((float(x), float(y)) for x, y in offset),
+            label_offset=tuple(tuple((float(x), float(y)) for x, y in of) for of in offset),
             lengths=tuple((float(low), float(high)) for low, high in lengths),
             training=training,
         )
@@ -388,7 +386,6 @@ class _Trainer:
                 rows=self.rows,
                 best=self.best,
                 best_step=self.best_step,
-                weighed=self.weighed,
                 targets=self.targets,
                 start=self.start,
             ),
@@ -403,7 +400,7 @@ class _Trainer:
         state = load_state(self.state_file, self.pair.learners, self.identity)
         self.step, self.elapsed_s, self.schedule = state.step, state.elapsed_s, state.schedule
         self.rows, self.best, self.best_step = state.rows, state.best, state.best_step
-        self.weighed, self.targets, self.start = state.weighed, state.targets, state.start
+        self.targets, self.start = state.targets, state.start
         if self.rows:
             self.last_px, self.last_deg = self.rows[-1]["held_out_px"], self.rows[-1]["held_out_deg"]
 

@@ -24,7 +24,7 @@ from .schedule import Schedule
 STATE_FILE = "training-state.safetensors"
 
 # Raised when the state's contents or the networks' layers change.
-FORMAT = 3
+FORMAT = 4
 
 
 @dataclass
@@ -37,7 +37,7 @@ class TrainingState:
     step, elapsed_s, schedule : where it stands
     rows : of training.csv
     best, best_step : averaged weights with the lowest held-out error, and when
-    weighed, targets : (N, K, 2) px, labels as `consensus.weighed` has them, and the positions trained on
+    targets : (N, K, 2) px, the positions trained on
     start : what the first weights were
     """
 
@@ -48,7 +48,6 @@ class TrainingState:
     rows: list[dict[str, float]]
     best: dict[str, Tensor] | None
     best_step: int
-    weighed: NDArray[np.float64]
     targets: NDArray[np.float64]
     start: str
 
@@ -61,7 +60,7 @@ def save_state(path: Path, state: TrainingState, learners: Mapping[str, Learner]
         tensors |= {f"{part}.average.{n}": v for n, v in learner.average.state_dict().items()}
         for index, values in learner.optimizer.state_dict()["state"].items():
             tensors |= {f"{part}.optimizer.{index}.{n}": torch.as_tensor(v) for n, v in values.items()}
-    tensors["weighed"], tensors["targets"] = (torch.from_numpy(xy) for xy in (state.weighed, state.targets))
+    tensors["targets"] = torch.from_numpy(state.targets)
     header = {
         "format": FORMAT,
         "identity": state.identity,
@@ -121,7 +120,6 @@ def load_state(path: Path, learners: Mapping[str, Learner], identity: str) -> Tr
         best=_under("best.", tensors) or None,
         best_step=header["best_step"],
         start=header["start"],
-        weighed=tensors["weighed"].numpy(),
         targets=tensors["targets"].numpy(),
     )
 

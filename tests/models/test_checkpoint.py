@@ -18,6 +18,7 @@ from bendtrack.models.detector import NetworkDetector
 from bendtrack.models.finding.calibration import Calibration
 from bendtrack.models.finding.header import FORMAT, WEIGHTS_FILE
 from bendtrack.models.finding.regions import WorkingRegion
+from bendtrack.models.tensor_files import write_tensors
 from bendtrack.tracker.angle import AngleDefinition
 from bendtrack.tracker.errors import CheckpointError
 
@@ -38,7 +39,7 @@ def checkpoint() -> Checkpoint:
         ),
         partner=(1, 0, 3, 2, 0),
         calibration=Calibration(1.5, 0.9, 27, (0.8, 0.9, 0.7, 0.6, 1.0)),
-        label_offset=((0.5, -0.25), (0.0, 0.0), (0.1, 0.2), (0.0, 0.3), (1.0, 1.0)),
+        label_offset=tuple(((x, 0.5), (0.1, 0.2), (0.0, x)) for x in (0.5, -0.25, 0.0, 0.3, 1.0)),
         lengths=((20.0, 24.5), (20.0, 24.5), (0.0, np.inf), (31.0, 40.0), (31.0, 40.0)),
         training={"trained_on": ["v/img00001.png"], "started_from": "random"},
     )
@@ -82,6 +83,19 @@ def test_networks_with_fewer_stages_are_still_read(
     early.save(tmp_path)
     frames = np.random.default_rng(0).integers(0, 255, (1, 120, 160, 3), dtype=np.uint8)
     np.testing.assert_array_equal(load_checkpoint(tmp_path).detect(frames).xy, early.detect(frames).xy)
+
+
+def test_an_offset_that_was_saved_as_the_same_in_all_attitudes_is_still_read(
+    checkpoint: Checkpoint, tmp_path: Path
+) -> None:
+    early = replace(checkpoint, label_offset=tuple((of[0],) for of in checkpoint.label_offset))
+    header = early.to_dict()
+    header["label_offset_patch_px"] = [of[0] for of in header["label_offset_patch_px"]]
+    write_tensors(tmp_path / WEIGHTS_FILE, checkpoint.network.state_dict(), header)
+    again = load_checkpoint(tmp_path)
+    assert again.to_dict() == early.to_dict()
+    frames = np.random.default_rng(0).integers(0, 255, (1, 120, 160, 3), dtype=np.uint8)
+    np.testing.assert_array_equal(again.detect(frames).xy, early.detect(frames).xy)
 
 
 def test_moving_to_another_folder_changes_nothing_and_the_hash_tells_networks_apart(

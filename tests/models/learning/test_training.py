@@ -18,7 +18,6 @@ from bendtrack.models.checkpoint import load_checkpoint
 from bendtrack.models.detector import NetworkDetector
 from bendtrack.models.evaluation import evaluate, not_trained_on
 from bendtrack.models.learning import training
-from bendtrack.models.learning.consensus import consensus, weighed
 from bendtrack.models.learning.held_out import split
 from bendtrack.models.learning.rendered import rendered_frames
 from bendtrack.models.learning.settings import TrainingSettings
@@ -29,7 +28,6 @@ from bendtrack.tracker.types import LabelledFrame
 
 KEYPOINTS = ("base_1", "base_2", "tip_1", "tip_2")
 MakeFrames = Callable[..., list[LabelledFrame]]
-VIDEO = ["default"] * 20
 TINY = TrainingSettings(init="random", steps=6, batch_frames=2)
 
 
@@ -231,6 +229,19 @@ def test_missing_points_train_and_a_point_that_nobody_labelled_is_named(
         train([], KEYPOINTS, definition, tmp_path / "other", TINY)
 
 
+def test_missing_points_train_where_the_network_knew_them_before(
+    make_frames: MakeFrames, definition: AngleDefinition, tmp_path: Path
+) -> None:
+    frames = make_frames(np.linspace(0, 180, 8), noise_px=1.0)
+    frames[2].xy[3] = np.nan
+    frames[5].xy[0] = np.nan
+    settings = TrainingSettings(init="actuator", steps=2, batch_frames=2, held_out=0.0)
+    checkpoint = train(frames, KEYPOINTS, definition, tmp_path / "model", settings)
+    assert np.isfinite(np.concatenate([np.ravel(of) for of in checkpoint.label_offset])).all()
+    for value in checkpoint.network.state_dict().values():
+        assert value.isfinite().all()
+
+
 def test_every_actuator_is_held_out_in_its_share() -> None:
     frames = [LabelledFrame(a, Path("x"), np.zeros((4, 2)), a) for a in ["p"] * 30 + ["q"] * 10 + ["r"] * 3]
     trained, held = split(frames, 0.1, seed=0)
@@ -242,69 +253,6 @@ def test_every_actuator_is_held_out_in_its_share() -> None:
         if frame is not frames[held[1]]:
             frame.xy[2] = np.nan
     assert held[1] in split(frames, 0.1, seed=0)[0]
-
-
-def test_consensus_follows_the_network_but_not_to_another_keypoint() -> None:
-    rng = np.random.default_rng(0)
-    labels = rng.uniform(0, 100, (20, 1, 2))
-    found = labels + 1.0
-    found[7, 0] = labels[7, 0] + 40
-    labels[3, 0] = np.nan
-    moved = consensus(labels, found, 0.7, np.ones(20), VIDEO)
-    np.testing.assert_allclose(moved[0, 0], labels[0, 0] + 0.7)
-    np.testing.assert_allclose(moved[7, 0], labels[7, 0])
-    assert np.isnan(moved[3, 0]).all()
-    # A network that has learnt nothing moves nothing, however much its errors agree.
-    np.testing.assert_array_equal(consensus(labels, labels + 30.0, 0.7, np.ones(20), VIDEO), labels)
-
-
-def test_labels_are_weighed_by_how_far_a_network_and_they_are_apart() -> None:
-    """Four keypoints on a moving body: the network knows two, is unsure of one along the body, and lost at the last."""
-    rng = np.random.default_rng(2)
-    along = np.array([[0.0, 0.0], [30.0, 0.0], [60.0, 0.0], [90.0, 0.0]])
-    truth = along + rng.uniform(0, 200, (30, 1, 2))
-    off = rng.normal(0, 0.2, truth.shape)
-    off[:, 2, 0] = rng.normal(0, 2.0, 30)
-    off[:, 3] += rng.normal(0, 4.0, (30, 2))
-    partner, scale, one = (1, 0, 3, 2), np.ones(30), ["one"] * 30
-
-    def error_px(labels: np.ndarray, moved: np.ndarray) -> np.ndarray:
-        # The labels' mean is kept: what it is off by is no business of this.
-        return np.asarray((moved - truth - (labels - truth).mean(axis=0)).std(axis=0))
-
-    labels = truth + rng.normal(0, 1.0, truth.shape)
-    # It puts every keypoint elsewhere than this hand, always in the same way.
-    error = error_px(labels, weighed(labels, truth + off + [1.5, -1.0], partner, scale, one))
-    assert error[:2].max() < 0.5  # px, where each click is off by one
-    assert error[2, 1] < 0.5 < error[2, 0] < 1.0
-    assert (error[3] < error_px(labels, labels)[3] + 0.05).all()
-    # From an exact hand nothing is to be gained, and little is lost: a tenth of what the network is off by.
-    exact = weighed(truth, truth + off, partner, scale, one)
-    assert error_px(truth, exact).max() < 0.25
-    # Four frames tell nothing of either's error.
-    np.testing.assert_array_equal(weighed(labels[:4], truth[:4], partner, scale[:4], VIDEO[:4]), labels[:4])
-
-
-def test_what_rests_in_a_video_is_at_one_place_there() -> None:
-    rng = np.random.default_rng(1)
-    place = np.array([[50.0, 40.0]])
-    labels = place + rng.normal(0, 1, (20, 1, 2))
-    found = place + 0.5 * (labels - place)  # half of each error is known by heart
-    found[10:], labels[10:] = found[10:] + 7.0, labels[10:] + 7.0
-    labels[3, 0] += 40.0
-    two = ["first"] * 10 + ["second"] * 10
-    moved = consensus(labels, found, 0.7, np.ones(20), two)
-    np.testing.assert_allclose(moved[3], labels[3])
-    for rows in ([0, 1, 2, 4, 5, 6, 7, 8, 9], range(10, 20)):
-        assert np.ptp(moved[list(rows)], axis=0).max() == 0.0
-    assert np.linalg.norm(moved[0] - place) < 0.7
-    assert np.linalg.norm(moved[10] - place - 7.0) < 0.7
-    # Taken for one video it moved by 7 px, and each position is its own.
-    assert np.ptp(consensus(labels, found, 0.7, np.ones(20), VIDEO)[10:], axis=0).min() > 0.5
-    # What moves is left at its places, and so is what is seen too seldom to tell.
-    moving = labels + np.linspace(0, 30, 20)[:, None, None]
-    assert len(np.unique(consensus(moving, moving + 1.0, 0.7, np.ones(20), VIDEO)[:, 0, 0])) == 20
-    assert len(np.unique(consensus(labels[:4], found[:4], 0.7, np.ones(4), VIDEO[:4])[:, 0, 0])) == 4
 
 
 def test_a_full_disk_loses_nothing_that_was_saved(make_frames: MakeFrames, tmp_path: Path) -> None:
