@@ -136,9 +136,9 @@ def test_labels_lose_the_noise_that_is_not_the_networks() -> None:
     assert error[:2].max() < 0.35  # px, where each click is off by one
     assert error[2, 1] < 0.35 < error[2, 0] < 1.0
     assert (error[3] < off_mean_px(labels, truth, labels)[3] + 0.1).all()
-    # From an exact hand nothing is to be gained, and little is lost: less than the network is off by.
+    # From an exact hand nothing is to be gained, and little is lost: what the network is off by where it is surest.
     exact = without_noise(truth, truth + off, PARTNER, SCALE, VIDEO)
-    assert off_mean_px(exact, truth, truth).max() < 0.2
+    assert off_mean_px(exact, truth, truth).max() < 0.25
     # Four frames tell nothing of either's error.
     few = without_noise(labels[:4], truth[:4], PARTNER, SCALE[:4], VIDEO[:4])
     np.testing.assert_array_equal(few, labels[:4])
