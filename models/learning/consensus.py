@@ -50,8 +50,9 @@ def label_offset(
     -------
     (K, 1 + 2 WAVES, 2) px of the upright patch; 0 for a keypoint that was never labelled
     """
-    residual, distance = _apart(found, labels, partner, patch_scale)
-    return _by_keypoint(_errors(residual, _near(distance), patch_directions(found, partner)).slow)
+    direction = patch_directions(found, partner)
+    residual, distance = _apart(found, labels, direction, patch_scale)
+    return _by_keypoint(_errors(residual, _near(distance), direction).slow)
 
 
 def without_noise(
@@ -74,21 +75,22 @@ def without_noise(
     patch_scale : (N,) px of the refiner's patches for one px of the frame
     videos : which video each of the N frames is from
     """
-    residual, distance = _apart(found, labels, partner, patch_scale)
+    direction = patch_directions(found, partner)
+    residual, distance = _apart(found, labels, direction, patch_scale)
     near = _near(distance) & (np.nan_to_num(distance, nan=np.inf) <= LIMIT_PATCH_PX)
     near &= near.sum(axis=0) >= LEAST
-    errors = _errors(residual, near, patch_directions(found, partner))
+    errors = _errors(residual, near, direction)
     expected = with_offset(found, _by_keypoint(errors.slow), partner, patch_scale)
     sudden = _by_keypoint(errors.sudden).transpose(1, 0, 2) / patch_scale[:, None, None]
-    moved = expected + turned(sudden, patch_directions(found, partner))
+    moved = expected + turned(sudden, direction)
     return _at_rest(np.where(near[..., None], moved, labels), expected, labels, near, videos)
 
 
 def _apart(
-    found: FloatArray, labels: FloatArray, partner: Sequence[int], patch_scale: FloatArray
+    found: FloatArray, labels: FloatArray, direction: FloatArray, patch_scale: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Labels less found (N, K, 2) patch px in the keypoints' own axes, and how far those are from usual, (N, K)."""
-    residual = turned(labels - found, -patch_directions(found, partner)) * patch_scale[:, None, None]
+    """Labels less found (N, K, 2) patch px in axes of a direction (N, K), and how far those are from usual, (N, K)."""
+    residual = turned(labels - found, -direction) * patch_scale[:, None, None]
     usual = np.array([[_median(residual[:, k, i]) for i in (0, 1)] for k in range(labels.shape[1])])
     return residual, np.linalg.norm(residual - usual, axis=2)
 

@@ -282,9 +282,8 @@ class _Trainer:
         known &= known[:, self.partner] & np.isin(self.keypoints, list(self.taken))
         near = np.where(known[..., None], self.labels, np.nan)
         finder = self.pair.average.finder()
-        finder = replace(
-            finder, refine=MirroredReader(finder.refine)
-        )  # it was pretrained with mirrored pictures
+        # What comes with bendtrack was pretrained with mirrored pictures.
+        finder = replace(finder, refine=MirroredReader(finder.refine))
         found = [
             finder.refined(self.pictures[i][None], near[i][None], self.prepared[i].region, self.partner)
             for i in self.trained

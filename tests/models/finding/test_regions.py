@@ -14,6 +14,7 @@ from bendtrack.models.finding.regions import (
     find_region,
     partner_lengths,
     partners,
+    patch_directions,
     working_regions,
 )
 
@@ -101,3 +102,8 @@ def test_lengths_are_those_of_the_labels_in_patch_px() -> None:
     xy = np.array([[[0, 0], [3, 4], [90, 0]], [[0, 0], [6, 8], [np.nan, np.nan]]], float)
     lengths = partner_lengths(xy, [1, 0, 2], np.array([2.0, 1.5]))
     assert lengths.tolist() == [[10, 15], [10, 15], [0, np.inf]]
+
+
+def test_directions_of_both_of_a_pair_are_the_same_and_nan_gives_none() -> None:
+    xy = np.array([[[0.0, 0.0], [0.0, 5.0], [3.0, 3.0], [np.nan, np.nan]]])
+    np.testing.assert_allclose(patch_directions(xy, (1, 0, 3, 2)), [[np.pi / 2, np.pi / 2, 0, 0]])

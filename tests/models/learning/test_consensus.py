@@ -66,7 +66,7 @@ def test_after_it_the_labels_mean_is_met_also_when_they_are_noisy(bends) -> None
     moved = with_offset(shifted(truth, 0.3, -0.5, scale), offset, PARTNER, scale)
     left = turned(labels - moved, -patch_directions(moved, PARTNER)) * scale[:, None, None]
     # Not exactly: the moved ends point a little elsewhere, and where nearly nothing is slow a little is taken for it.
-    np.testing.assert_allclose(left.mean(axis=0), 0, atol=0.03)
+    np.testing.assert_allclose(left.mean(axis=0), 0, atol=0.01)
 
 
 def test_an_error_that_changes_as_the_end_turns_comes_off_as_far_as_noise_lets_see_it() -> None:
@@ -98,7 +98,7 @@ def test_a_label_on_the_wrong_spot_and_missing_ones_change_nothing(bends) -> Non
     before = label_offset(truth, labels, PARTNER, scale)
     assert not before[0].any()
     labels[4, 3] = truth[4, 3] + 80
-    np.testing.assert_allclose(label_offset(truth, labels, PARTNER, scale), before, atol=1e-3)
+    np.testing.assert_allclose(label_offset(truth, labels, PARTNER, scale), before, atol=1e-6)
 
 
 def test_thousands_of_labels_are_no_more_than_numbers_hold() -> None:
@@ -135,7 +135,7 @@ def test_labels_lose_the_noise_that_is_not_the_networks() -> None:
     error = off_mean_px(moved, truth, labels)
     assert error[:2].max() < 0.35  # px, where each click is off by one
     assert error[2, 1] < 0.35 < error[2, 0] < 1.0
-    assert (error[3] < off_mean_px(labels, truth, labels)[3] + 0.1).all()
+    assert (error[3] < off_mean_px(labels, truth, labels)[3] + 0.06).all()
     # From an exact hand nothing is to be gained, and little is lost: what the network is off by where it is surest.
     exact = without_noise(truth, truth + off, PARTNER, SCALE, VIDEO)
     assert off_mean_px(exact, truth, truth).max() < 0.25
@@ -156,13 +156,16 @@ def test_a_label_far_from_what_was_found_stays_and_so_do_all_where_nothing_is_fo
     assert np.abs(moved - labels)[[0, 1, 2, 4, 5, 6]].max() > 0.1
     lost = rng.uniform(0, 100, labels.shape)
     np.testing.assert_array_equal(without_noise(labels, lost, (0,), SCALE[:20], VIDEO[:20]), labels)
+    # However much its errors agree.
+    agreed = without_noise(labels, labels + 30.0, (0,), SCALE[:20], VIDEO[:20])
+    np.testing.assert_allclose(agreed, labels, atol=1e-9)
 
 
 def test_what_rests_in_a_video_is_at_one_place_there() -> None:
     rng = np.random.default_rng(2)
     place = np.array([[50.0, 40.0]])
     labels = place + rng.normal(0, 1, (20, 1, 2))
-    found = place + 0.4 * (labels - place)  # two fifths of each error are known by heart
+    found = place + 0.5 * (labels - place)  # half of each error is known by heart
     found[10:], labels[10:] = found[10:] + 7.0, labels[10:] + 7.0
     labels[3, 0] += 40.0
     two = ["first"] * 10 + ["second"] * 10
@@ -179,8 +182,3 @@ def test_what_rests_in_a_video_is_at_one_place_there() -> None:
     for count in (20, 4):
         own = without_noise(moving[:count], moving[:count] + 1.0, (0,), SCALE[:count], VIDEO[:count])
         assert len(np.unique(own[:, 0, 0])) == count
-
-
-def test_directions_of_both_of_a_pair_are_the_same_and_nan_gives_none() -> None:
-    xy = np.array([[[0.0, 0.0], [0.0, 5.0], [3.0, 3.0], [np.nan, np.nan]]])
-    np.testing.assert_allclose(patch_directions(xy, PARTNER), [[np.pi / 2, np.pi / 2, 0, 0]])
