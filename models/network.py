@@ -99,9 +99,7 @@ class HeatmapNetwork(nn.Module):
 
     def forward(self, images: Tensor) -> Maps:
         """Maps of RGB images (N, 3, H, W), uint8 or float in [0, 255]; H and W multiples of 2**(stages + 1)."""
-        x = (images.to(self.mean.dtype) - self.mean) / self.std
-        x = x.contiguous(memory_format=torch.channels_last)
-        x = F.max_pool2d(F.relu(self.bn1(self.conv1(x))), 3, stride=2, padding=1)
+        x = self._entry(images)
         features = []
         for stage in self.stages:
             x = stage(x)
@@ -119,3 +117,13 @@ class HeatmapNetwork(nn.Module):
             offset=maps[:, k : 3 * k].reshape(n, k, 2, h, w) * STRIDE,
             spread=maps[:, 3 * k :].reshape(n, k, 3, h, w) + self.cell_spread,
         )
+
+    def first_features(self, images: Tensor) -> Tensor:
+        """What the first residual stage sees in such images, (N, C, H / STRIDE, W / STRIDE)."""
+        features: Tensor = self.stages[0](self._entry(images))
+        return features
+
+    def _entry(self, images: Tensor) -> Tensor:
+        x = (images.to(self.mean.dtype) - self.mean) / self.std
+        x = x.contiguous(memory_format=torch.channels_last)
+        return F.max_pool2d(F.relu(self.bn1(self.conv1(x))), 3, stride=2, padding=1)

@@ -61,7 +61,7 @@ def without_noise(
     partner: Sequence[int],
     patch_scale: FloatArray,
     videos: Sequence[str],
-) -> FloatArray:
+) -> tuple[FloatArray, BoolArray]:
     """What a network finds less its own errors, in frames with labels.
 
     A keypoint that is found to move by less, within a video, than labels are off is at rest there: its positions are
@@ -74,6 +74,10 @@ def without_noise(
     partner : from `regions.partners`
     patch_scale : (N,) px of the refiner's patches for one px of the frame
     videos : which video each of the N frames is from
+
+    Returns
+    -------
+    Positions (N, K, 2) px, and which of them are not just the label, (N, K).
     """
     direction = patch_directions(found, partner)
     residual, distance = _apart(found, labels, direction, patch_scale)
@@ -83,7 +87,8 @@ def without_noise(
     expected = with_offset(found, _by_keypoint(errors.slow), partner, patch_scale)
     sudden = _by_keypoint(errors.sudden).transpose(1, 0, 2) / patch_scale[:, None, None]
     moved = expected + turned(sudden, direction)
-    return _at_rest(np.where(near[..., None], moved, labels), expected, labels, near, videos)
+    better = _at_rest(np.where(near[..., None], moved, labels), expected, labels, near, videos)
+    return better, near
 
 
 def _apart(

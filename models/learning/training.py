@@ -37,6 +37,7 @@ from .held_out import split
 from .inheritance import counterparts, inherit, parent_of
 from .initialisation import load_backbone, resolve_init, starting_weights
 from .pair import Pair
+from .registration import first_features, registered
 from .rendered import rendered_frames
 from .schedule import Schedule
 from .settings import TrainingSettings
@@ -191,6 +192,8 @@ class _Trainer:
         self.rehearsed = (
             rendered_frames(self.settings.seed, range(REHEARSED), self.keypoints) if knows_them else []
         )
+        # Not those of the network that learns: they would come to agree with its own errors.
+        self.features = first_features().to(self.device) if knows_them else None
         self.prepared = [
             prepare(picture, xy, regions[size])
             for picture, xy, size in zip(pictures, labels, sizes, strict=True)
@@ -288,14 +291,17 @@ class _Trainer:
             finder.refined(self.pictures[i][None], near[i][None], self.prepared[i].region, self.partner)
             for i in self.trained
         ]
-        self._aim(joined(found).xy)
+        self.targets[self.trained] = self._less_noisy(joined(found).xy)
 
-    def _aim(self, found: FloatArray) -> None:
-        """Move the targets toward what was found in the frames trained on."""
+    def _less_noisy(self, found: FloatArray) -> FloatArray:
+        """Labels of the frames trained on, less their noise as far as `consensus` says, from what was found there."""
         labels, scale = self.labels[self.trained], self.patch_scale[self.trained]
         videos = [self.frames[i].video for i in self.trained]
-        better = without_noise(labels, found, self.partner, scale, videos)
-        self.targets[self.trained] = labels + self.settings.consensus * (better - labels)
+        better, counts = without_noise(labels, found, self.partner, scale, videos)
+        if self.features is not None:
+            frames = [self.prepared[i] for i in self.trained]
+            better = registered(frames, better, counts, self.partner, videos, self.features)
+        return labels + self.settings.consensus * (better - labels)
 
     def _evaluate(self, loss: float) -> None:
         """Judge the averaged network on the held-out frames, and let the targets follow it."""
@@ -311,7 +317,7 @@ class _Trainer:
                 self.best = self.pair.state_of_average()
                 self.best_step = self.step
         if self.settings.consensus and self.step >= CONSENSUS_FROM * self.schedule.total:
-            self._aim(self._detect(self.pair.average, self.trained).xy)
+            self.targets[self.trained] = self._less_noisy(self._detect(self.pair.average, self.trained).xy)
         self.rows.append(
             {
                 "step": self.step,
@@ -339,7 +345,7 @@ class _Trainer:
             step, held_out_px = self.best_step, self.schedule.best_px
         found = self._detect(network, self.trained)
         own, scales = self.labels[self.trained], self.patch_scale[self.trained]
-        offset = label_offset(found.xy, own, self.partner, scales)
+        offset = label_offset(found.xy, self._less_noisy(found.xy), self.partner, scales)
         found = replace(found, xy=with_offset(found.xy, offset, self.partner, scales))
         lengths = partner_lengths(own, self.partner, scales)
         held = None

@@ -107,7 +107,7 @@ def test_thousands_of_labels_are_no_more_than_numbers_hold() -> None:
     found = truth + rng.normal(0, 0.01, truth.shape)
     found[:, 3] += rng.normal(0, 3.0, (3000, 2))
     labels = truth + rng.normal(0, 1.0, truth.shape)
-    moved = without_noise(labels, found, PARTNER, np.ones(3000), ["one"] * 3000)
+    moved, _ = without_noise(labels, found, PARTNER, np.ones(3000), ["one"] * 3000)
     # Sure of the first three. Of the last the labels are nine times as sure as the network.
     error = off_mean_px(moved, truth, labels)
     assert error[:3].max() < 0.1
@@ -131,16 +131,16 @@ def test_labels_lose_the_noise_that_is_not_the_networks() -> None:
     off[:, 3] += rng.normal(0, 4.0, (FRAMES, 2))
     labels = truth + rng.normal(0, 1.0, truth.shape)
     # It puts every keypoint elsewhere than this hand, always in the same way.
-    moved = without_noise(labels, truth + off + [1.5, -1.0], PARTNER, SCALE, VIDEO)
+    moved, _ = without_noise(labels, truth + off + [1.5, -1.0], PARTNER, SCALE, VIDEO)
     error = off_mean_px(moved, truth, labels)
     assert error[:2].max() < 0.35  # px, where each click is off by one
     assert error[2, 1] < 0.35 < error[2, 0] < 1.0
     assert (error[3] < off_mean_px(labels, truth, labels)[3] + 0.06).all()
     # From an exact hand nothing is to be gained, and little is lost: what the network is off by where it is surest.
-    exact = without_noise(truth, truth + off, PARTNER, SCALE, VIDEO)
+    exact, _ = without_noise(truth, truth + off, PARTNER, SCALE, VIDEO)
     assert off_mean_px(exact, truth, truth).max() < 0.25
     # Four frames tell nothing of either's error.
-    few = without_noise(labels[:4], truth[:4], PARTNER, SCALE[:4], VIDEO[:4])
+    few, _ = without_noise(labels[:4], truth[:4], PARTNER, SCALE[:4], VIDEO[:4])
     np.testing.assert_array_equal(few, labels[:4])
 
 
@@ -150,14 +150,14 @@ def test_a_label_far_from_what_was_found_stays_and_so_do_all_where_nothing_is_fo
     found = labels + rng.normal(1.0, 0.3, labels.shape)
     found[7, 0] = labels[7, 0] + 40
     labels[3, 0] = np.nan
-    moved = without_noise(labels, found, (0,), SCALE[:20], VIDEO[:20])
+    moved, _ = without_noise(labels, found, (0,), SCALE[:20], VIDEO[:20])
     np.testing.assert_array_equal(moved[7], labels[7])
     assert np.isnan(moved[3]).all()
     assert np.abs(moved - labels)[[0, 1, 2, 4, 5, 6]].max() > 0.1
     lost = rng.uniform(0, 100, labels.shape)
-    np.testing.assert_array_equal(without_noise(labels, lost, (0,), SCALE[:20], VIDEO[:20]), labels)
+    np.testing.assert_array_equal(without_noise(labels, lost, (0,), SCALE[:20], VIDEO[:20])[0], labels)
     # However much its errors agree.
-    agreed = without_noise(labels, labels + 30.0, (0,), SCALE[:20], VIDEO[:20])
+    agreed, _ = without_noise(labels, labels + 30.0, (0,), SCALE[:20], VIDEO[:20])
     np.testing.assert_allclose(agreed, labels, atol=1e-9)
 
 
@@ -169,16 +169,16 @@ def test_what_rests_in_a_video_is_at_one_place_there() -> None:
     found[10:], labels[10:] = found[10:] + 7.0, labels[10:] + 7.0
     labels[3, 0] += 40.0
     two = ["first"] * 10 + ["second"] * 10
-    moved = without_noise(labels, found, (0,), SCALE[:20], two)
+    moved, _ = without_noise(labels, found, (0,), SCALE[:20], two)
     np.testing.assert_allclose(moved[3], labels[3])
     for rows in ([0, 1, 2, 4, 5, 6, 7, 8, 9], range(10, 20)):
         assert np.ptp(moved[list(rows)], axis=0).max() == 0.0
     assert np.linalg.norm(moved[0] - place) < 0.7
     assert np.linalg.norm(moved[10] - place - 7.0) < 0.7
     # Taken for one video it moved by 7 px, and each position is its own.
-    assert np.ptp(without_noise(labels, found, (0,), SCALE[:20], VIDEO[:20])[10:], axis=0).min() > 0.5
+    assert np.ptp(without_noise(labels, found, (0,), SCALE[:20], VIDEO[:20])[0][10:], axis=0).min() > 0.5
     # What moves is left at its places, and so is what is seen too seldom to tell.
     moving = labels + np.linspace(0, 30, 20)[:, None, None]
     for count in (20, 4):
-        own = without_noise(moving[:count], moving[:count] + 1.0, (0,), SCALE[:count], VIDEO[:count])
+        own, _ = without_noise(moving[:count], moving[:count] + 1.0, (0,), SCALE[:count], VIDEO[:count])
         assert len(np.unique(own[:, 0, 0])) == count

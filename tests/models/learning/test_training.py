@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from safetensors.torch import load_file
@@ -24,6 +25,8 @@ from bendtrack.models.learning.settings import TrainingSettings
 from bendtrack.models.learning.training import Progress, train
 from bendtrack.tracker.angle import AngleDefinition
 from bendtrack.tracker.errors import LabelError, TrainingError
+from bendtrack.tracker.synthetic.stream import KEYPOINTS as canonical
+from bendtrack.tracker.synthetic.stream import TRAINING, Stage, drawn_look, inflation_deg
 from bendtrack.tracker.types import LabelledFrame
 
 KEYPOINTS = ("base_1", "base_2", "tip_1", "tip_2")
@@ -86,6 +89,8 @@ from pathlib import Path
 from bendtrack.models.learning import training
 from bendtrack.models.learning.settings import TrainingSettings
 from bendtrack.tracker.angle import AngleDefinition
+from bendtrack.tracker.synthetic.stream import KEYPOINTS as canonical
+from bendtrack.tracker.synthetic.stream import TRAINING, Stage, drawn_look, inflation_deg
 from bendtrack.tracker.types import LabelledFrame
 
 torch.set_num_threads(1)
@@ -240,6 +245,36 @@ def test_missing_points_train_where_the_network_knew_them_before(
     assert np.isfinite(np.concatenate([np.ravel(of) for of in checkpoint.label_offset])).all()
     for value in checkpoint.network.state_dict().values():
         assert value.isfinite().all()
+
+
+def test_a_network_that_knows_actuators_learns_from_positions_nearer_to_the_truth_than_labels(
+    definition: AngleDefinition, tmp_path: Path
+) -> None:
+    look = drawn_look(21, 3, size_wh=(400, 300), families=TRAINING, bend_deg=(0.0, 150.0))
+    stage, rng, frames = Stage(look), np.random.default_rng(0), []
+    truth = []
+    for i, bend in enumerate(inflation_deg(look, 12)):
+        sample = stage.frame(bend)
+        truth.append(sample.keypoints_xy[[canonical.index(name) for name in KEYPOINTS]])
+        path = tmp_path / f"img{i:05d}.png"
+        cv2.imwrite(str(path), sample.picture[..., ::-1])
+        frames.append(LabelledFrame("film", path, truth[-1] + rng.normal(0, 1, (4, 2)), "default", i))
+
+    def tip_deg(positions: np.ndarray) -> np.ndarray:
+        vectors = [xy[:, 3] - xy[:, 2] for xy in (positions, np.stack(truth))]
+        angles = [np.unwrap(np.arctan2(v[:, 1], v[:, 0])) for v in vectors]
+        return np.asarray(np.degrees(angles[0] - angles[1]))
+
+    def trainer(start: str) -> training._Trainer:
+        settings = TrainingSettings(init=start, held_out=0.0)
+        return training._Trainer(frames, KEYPOINTS, definition, tmp_path / start, settings, resume=False)
+
+    knows = trainer("actuator")
+    knows._aim_as_known()
+    labels = np.stack([frame.xy for frame in frames])
+    assert tip_deg(labels).std() > 1.5
+    assert tip_deg(knows.targets).std() < 0.4 * tip_deg(labels).std()
+    assert trainer("random").features is None
 
 
 def test_every_actuator_is_held_out_in_its_share() -> None:
