@@ -40,9 +40,6 @@ LARGEST_PX, LARGEST_RAD = 2.0, 0.1
 FAR_PX, FAR_RAD = 8.0, 0.25
 """An end that all steps together carry further does not look like the others: it stays where it was."""
 
-ROUND = 1e-3
-"""Added to what a px along or across, or at the picture's rim, changes: where nothing is to be seen nothing moves."""
-
 ALWAYS = 0.01
 """Share of a feature's variance over all places that it has everywhere, however little it varies in these frames."""
 
@@ -135,7 +132,6 @@ def _step(seen: Tensor) -> FloatArray:
     usual = 1 / (1 + (off**2 / variance).mean(dim=1))
     square = torch.einsum("chw,chwi,chwj->hwij", weight, slope, slope)
     square = torch.einsum("nhw,hwij->nij", usual, square)
-    square += ROUND * torch.diag(square.new_tensor([1.0, 1.0, (SIDE / 2) ** 2]))
     toward = torch.einsum("nchw,chw,chwi->nhwi", off, weight, slope)
     toward = torch.einsum("nhw,nhwi->ni", usual, toward)
     largest = np.array([LARGEST_PX, LARGEST_PX, LARGEST_RAD])

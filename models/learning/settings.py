@@ -31,8 +31,8 @@ class TrainingSettings:
     consensus : how far training positions move from the labels to what the averaged network says less its own errors
         (`consensus.without_noise`), at once where it knew the keypoints before, else once it is better than a single
         click; with what comes with bendtrack as a start, moving ends are then laid over each other
-        (`registration.registered`). 0 trains on the labels as they are. Thirty clicks with 1 px of error each then weigh together instead
-        of being learnt by heart one by one.
+        (`registration.registered`). 0 trains on the labels as they are. Thirty clicks with 1 px of error each then
+        weigh together instead of being learnt by heart one by one.
     held_out : share of each actuator's frames that is not trained on but judged
     seed : everything random follows from it
     max_minutes : the schedule is shortened to end by then
