@@ -48,7 +48,7 @@ LEAST, MOST = 5, 128
 """Frames that are laid over each other at once: fewer do not tell what varies, more would fill the memory."""
 
 
-def first_features() -> HeatmapNetwork:
+def shipped_refiner() -> HeatmapNetwork:
     """The network whose first features ends are compared by, whatever the backbone of the one that learns."""
     refiner: HeatmapNetwork = load_checkpoint(shipped_network("resnet18")).network.refiner
     return refiner.eval()

@@ -37,7 +37,7 @@ from .held_out import split
 from .inheritance import counterparts, inherit, parent_of
 from .initialisation import load_backbone, resolve_init, starting_weights
 from .pair import Pair
-from .registration import first_features, registered
+from .registration import registered, shipped_refiner
 from .rendered import rendered_frames
 from .schedule import Schedule
 from .settings import TrainingSettings
@@ -193,7 +193,7 @@ class _Trainer:
             rendered_frames(self.settings.seed, range(REHEARSED), self.keypoints) if knows_them else []
         )
         # Not those of the network that learns: they would come to agree with its own errors.
-        self.features = first_features().to(self.device) if knows_them else None
+        self.features = shipped_refiner().to(self.device) if knows_them and self.settings.consensus else None
         self.prepared = [
             prepare(picture, xy, regions[size])
             for picture, xy, size in zip(pictures, labels, sizes, strict=True)
@@ -316,7 +316,8 @@ class _Trainer:
             if self.schedule.judge(self.step, self.last_px):
                 self.best = self.pair.state_of_average()
                 self.best_step = self.step
-        if self.settings.consensus and self.step >= CONSENSUS_FROM * self.schedule.total:
+        total = self.schedule.total
+        if self.settings.consensus and CONSENSUS_FROM * total <= self.step < total:
             self.targets[self.trained] = self._less_noisy(self._detect(self.pair.average, self.trained).xy)
         self.rows.append(
             {

@@ -9,7 +9,7 @@ import pytest
 
 from bendtrack.models.finding.regions import patch_directions, turned, working_regions
 from bendtrack.models.learning.dataset import PreparedFrame, prepare
-from bendtrack.models.learning.registration import LEAST, MOST, first_features, registered
+from bendtrack.models.learning.registration import LEAST, MOST, registered, shipped_refiner
 from bendtrack.models.network import HeatmapNetwork
 from bendtrack.tracker.synthetic.stream import KEYPOINTS, TRAINING, Stage, drawn_look, inflation_deg
 
@@ -21,7 +21,7 @@ VIDEO = ["one"] * FRAMES
 
 @pytest.fixture(scope="module")
 def features() -> HeatmapNetwork:
-    return first_features()
+    return shipped_refiner()
 
 
 @pytest.fixture(scope="module")

@@ -89,8 +89,6 @@ from pathlib import Path
 from bendtrack.models.learning import training
 from bendtrack.models.learning.settings import TrainingSettings
 from bendtrack.tracker.angle import AngleDefinition
-from bendtrack.tracker.synthetic.stream import KEYPOINTS as canonical
-from bendtrack.tracker.synthetic.stream import TRAINING, Stage, drawn_look, inflation_deg
 from bendtrack.tracker.types import LabelledFrame
 
 torch.set_num_threads(1)
