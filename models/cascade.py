@@ -12,13 +12,11 @@ import torch
 from torch import nn
 
 from ..tracker.types import Detections, FloatArray, Frames, ImageArray
+from .aligner import EndAligner, TorchAligner
 from .finding.finder import LOCATOR_MULTIPLE, Finder
 from .finding.regions import WorkingRegion
 from .heatmaps import decode
-from .network import HeatmapNetwork
-
-CONVOLUTIONS = 2
-"""Half of a ResNet-18's blocks find what all of them find, on thirty frames of one actuator."""
+from .network import CONVOLUTIONS, HeatmapNetwork
 
 LOCATOR_STAGES = 4
 """Who looks for any actuator in a whole picture needs the fourth residual stage; on thirty frames of one actuator three
@@ -40,7 +38,13 @@ class Cascade(nn.Module):
     backbone : a key of `network.BACKBONES`
     n_keypoints : K
     locator_stages, refiner_stages : residual stages that each has
+
+    Attributes
+    ----------
+    aligner : tells how moving ends lie; None where nobody has learnt that
     """
+
+    aligner: EndAligner | None
 
     def __init__(
         self,
@@ -54,19 +58,21 @@ class Cascade(nn.Module):
         self.refiner = HeatmapNetwork(
             backbone, refiner_stages, n_keypoints, convolutions=CONVOLUTIONS, width=REFINER_WIDTH
         )
+        self.aligner = None
 
     @classmethod
     def of(cls, locator: HeatmapNetwork, refiner: HeatmapNetwork) -> Cascade:
         """Two networks as one cascade, sharing their weights."""
         whole = cls.__new__(cls)
         nn.Module.__init__(whole)
-        whole.locator, whole.refiner = locator, refiner
+        whole.locator, whole.refiner, whole.aligner = locator, refiner, None
         return whole
 
     def finder(self, peaks: int = 1) -> Finder:
         """The networks at work in float32, where their weights lie. `peaks`: as `Finder`'s."""
         self.eval()
-        return Finder(TorchReader(self.locator, peaks), TorchReader(self.refiner), peaks)
+        locate, refine = TorchReader(self.locator, peaks), TorchReader(self.refiner)
+        return Finder(locate, refine, peaks, TorchAligner(self.aligner) if self.aligner else None)
 
     def detect(self, frames: Frames, region: WorkingRegion, partner: Sequence[int]) -> Detections:
         """`Finder.detect` with these networks."""

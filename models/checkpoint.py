@@ -14,6 +14,7 @@ from safetensors.torch import load_file
 
 from ..tracker.atomic import atomic_write_text
 from ..tracker.types import Detections, Frames
+from .aligner import EndAligner
 from .cascade import Cascade
 from .finding.header import WEIGHTS_FILE, Header, read_header, told_as_damage, weights_file
 from .network import BACKBONES
@@ -69,6 +70,8 @@ def load_checkpoint(path: Path) -> Checkpoint:
             sum(name.startswith(f"{part}.lateral.") for name in weights) for part in ("locator", "refiner")
         ]
         network = Cascade(header.backbone, len(header.keypoints), *stages)
+        if "aligner.ends" in weights:
+            network.aligner = EndAligner(len(weights["aligner.ends"]))
         network.load_state_dict(weights)
     return Checkpoint(
         network=network.eval(), **{part.name: getattr(header, part.name) for part in fields(header)}

@@ -7,24 +7,28 @@ from __future__ import annotations
 
 import json
 import threading
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..tracker.types import Detections, ImageArray
+from ..tracker.types import Detections, FloatArray, ImageArray
 from .finding.finder import Finder
 
 ENGINES = ("openvino-int8", "openvino")
 """The compiled engines, the faster one first."""
 
 PARTS = ("locator", "refiner")
+ALIGNER = "aligner"
+"""Part of every engine, in float32."""
+
 RECORD = "engine.json"
-FORMAT = 4
+FORMAT = 5
 
 
-class CompiledReader:
-    """An OpenVINO model from pictures to positions, likelihoods and covariances, as a `finder.Reader`.
+class _Compiled:
+    """An OpenVINO model from pictures to arrays.
 
     Parameters
     ----------
@@ -47,14 +51,38 @@ class CompiledReader:
         self._model = openvino.Core().compile_model(source, "CPU", config)
         self._own = threading.local()
 
-    def __call__(self, pictures: ImageArray) -> Detections:
-        """Every keypoint in pictures (N, 3, H, W) uint8."""
+    def _outputs(self, pictures: ImageArray) -> list[FloatArray]:
         if not hasattr(self._own, "request"):
             self._own.request = self._model.create_infer_request()
         request = self._own.request
         request.infer([pictures], share_inputs=True)
-        xy, likelihood, covariance = (request.get_output_tensor(i).data.astype(np.float64) for i in range(3))
-        return Detections(xy, likelihood, covariance)
+        return [tensor.data.astype(np.float64) for tensor in request.output_tensors]
+
+
+class CompiledReader(_Compiled):
+    """An OpenVINO model from pictures to positions, likelihoods and covariances, as a `finder.Reader`."""
+
+    def __call__(self, pictures: ImageArray) -> Detections:
+        """Every keypoint in pictures (N, 3, H, W) uint8."""
+        return Detections(*self._outputs(pictures))
+
+
+class CompiledAligner(_Compiled):
+    """An OpenVINO model from closer pictures of ends to how they lie, as a `finder.Aligner`.
+
+    Parameters
+    ----------
+    ends : those that it knows
+    """
+
+    def __init__(self, model: Any, ends: Sequence[Sequence[int]], workers: int = 1, threads: int = 1) -> None:
+        super().__init__(model, workers, threads)
+        self.ends = tuple((first, second) for first, second in ends)
+
+    def __call__(self, pictures: ImageArray) -> FloatArray:
+        """Steps (N, E, 3) in pictures (N, 3, END_SIDE, END_SIDE) uint8."""
+        (steps,) = self._outputs(pictures)
+        return steps
 
 
 def engine_folder(checkpoint_file: Path) -> Path:
@@ -75,9 +103,15 @@ def engine_record(checkpoint_file: Path, sha256: str) -> dict[str, Any] | None:
 
 
 def compiled_finder(
-    checkpoint_file: Path, engine: str, workers: int = 1, threads: int = 1, peaks: int = 1
+    checkpoint_file: Path,
+    engine: str,
+    ends: Sequence[Sequence[int]],
+    workers: int = 1,
+    threads: int = 1,
+    peaks: int = 1,
 ) -> Finder:
-    """Locator and refiner of an engine that was built and passed; `peaks` are those that it was built with."""
+    """The networks of an engine that was built and passed; `ends` and `peaks` are those that it was built with."""
     folder = engine_folder(checkpoint_file)
     locate, refine = (CompiledReader(folder / f"{part}-{engine}.xml", workers, threads) for part in PARTS)
-    return Finder(locate, refine, peaks)
+    align = CompiledAligner(folder / f"{ALIGNER}.xml", ends, workers, threads) if ends else None
+    return Finder(locate, refine, peaks, align)

@@ -112,7 +112,8 @@ class NetworkDetector:
         else:
             threads = threads or (min(cores(), SOONEST_CORES) if soonest else cores())
             workers = 1 if soonest else threads
-            finder = compiled_finder(file, engine, workers, threads, header.peaks)
+            ends = record["ends"] if record else []
+            finder = compiled_finder(file, engine, ends, workers, threads, header.peaks)
         return cls(
             file.resolve().parent.name,
             header,

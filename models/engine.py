@@ -16,7 +16,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,11 +30,22 @@ from ..tracker.atomic import atomic_path, atomic_write_text
 from ..tracker.errors import CheckpointError, reason
 from ..tracker.types import Detections, ImageArray
 from ..tracker.video import file_sha256
+from .aligner import EndAligner
 from .cascade import Cascade
 from .checkpoint import Checkpoint, load_checkpoint
-from .compiled import ENGINES, FORMAT, PARTS, RECORD, CompiledReader, engine_folder
+from .compiled import (
+    ALIGNER,
+    ENGINES,
+    FORMAT,
+    PARTS,
+    RECORD,
+    CompiledAligner,
+    CompiledReader,
+    engine_folder,
+)
 from .finding.finder import Finder, Reader, joined
 from .finding.header import weights_file
+from .finding.patches import END_SIDE
 from .heatmaps import decode
 from .learning.dataset import read_picture
 from .learning.rendered import rendered_samples
@@ -125,6 +136,11 @@ def build(
     candidates: dict[str, Callable[[str], openvino.Model]] = {in_floats: lambda part: maps[part].clone()}
     if len(frames) >= LEAST_FRAMES:
         candidates[in_integers] = lambda part: _in_integers(maps[part], kept.pictures[part])
+    align = None
+    if network.aligner is not None:
+        with _in_private():
+            aligner = _converted_aligner(network.aligner)
+        align = CompiledAligner(aligner, network.aligner.pairs)
     engines: dict[str, Any] = {}
     # Without labelled pictures anything will do to see that a plain compilation does what torch does.
     judge = judge or [np.random.default_rng(0).integers(0, 255, (480, 640, 3), dtype=np.uint8)]
@@ -132,11 +148,13 @@ def build(
     reference = _found(network.finder(checkpoint.peaks), checkpoint, judge)
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        if align:
+            _save(aligner, folder / f"{ALIGNER}.xml")
         for name, make in candidates.items():
             with _in_private():
                 models = {part: _with_votes(make(part), peaks[part]) for part in PARTS}
             locate, refine = (CompiledReader(models[part]) for part in PARTS)
-            finder = Finder(locate, refine, checkpoint.peaks)
+            finder = Finder(locate, refine, checkpoint.peaks, align)
             drift = _drift(_found(finder, checkpoint, judge), reference, checkpoint)
             # Once more, as the first time a network also makes itself ready.
             begun = time.process_time()
@@ -159,6 +177,7 @@ def build(
             "openvino": openvino.__version__,
             "frames_fitted": len(fit) if in_integers in engines else 0,
             "frames_judged": len(frames[1::2]),
+            "ends": align.ends if align else [],
             "engines": engines,
         }
         atomic_write_text(folder / RECORD, json.dumps(record, indent=2) + "\n")
@@ -173,7 +192,9 @@ class _Keeping:
     def __init__(self, network: Cascade) -> None:
         own = network.finder()
         self.pictures: dict[str, list[ImageArray]] = {part: [] for part in PARTS}
-        self.finder = Finder(self._kept("locator", own.locate), self._kept("refiner", own.refine))
+        self.finder = replace(
+            own, locate=self._kept("locator", own.locate), refine=self._kept("refiner", own.refine)
+        )
 
     def _kept(self, part: str, reader: Reader) -> Reader:
         def read(pictures: ImageArray) -> Detections:
@@ -210,6 +231,13 @@ def _converted(network: HeatmapNetwork) -> openvino.Model:
     return openvino.convert_model(
         _AsTuple(network), example_input=example, input=[openvino.PartialShape([-1, 3, -1, -1])]
     )
+
+
+def _converted_aligner(aligner: EndAligner) -> openvino.Model:
+    """An aligner for any number of pictures."""
+    shape = (3, END_SIDE, END_SIDE)
+    example = torch.zeros((2, *shape), dtype=torch.uint8)
+    return openvino.convert_model(aligner, example_input=example, input=[openvino.PartialShape([-1, *shape])])
 
 
 def _in_integers(maps: openvino.Model, pictures: Sequence[ImageArray]) -> openvino.Model:

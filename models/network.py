@@ -16,6 +16,9 @@ from torchvision.models import resnet18, resnet34, resnet50
 
 BACKBONES = {"resnet18": resnet18, "resnet34": resnet34, "resnet50": resnet50}
 
+CONVOLUTIONS = 2
+"""Half of a ResNet-18's blocks find what all of them find, on thirty frames of one actuator."""
+
 STRIDE = 4
 """Input px per heatmap cell. Cell (row, column) covers input px STRIDE * column - 0.5 to STRIDE * column + 3.5."""
 
@@ -78,8 +81,8 @@ class HeatmapNetwork(nn.Module):
         kept = [resnet.layer1, resnet.layer2, resnet.layer3, resnet.layer4][:stages]
         self.stages = nn.ModuleList([stage[:blocks] for stage in kept])
         expansion = 4 if bottleneck else 1
-        channels = [64 * 2**i * expansion for i in range(stages)]
-        self.lateral = nn.ModuleList([nn.Conv2d(c, width, 1, bias=False) for c in channels])
+        self.channels = [64 * 2**i * expansion for i in range(stages)]
+        self.lateral = nn.ModuleList([nn.Conv2d(c, width, 1, bias=False) for c in self.channels])
         self.smooth = nn.Sequential(
             nn.BatchNorm2d(width),
             nn.ReLU(inplace=True),
@@ -99,7 +102,7 @@ class HeatmapNetwork(nn.Module):
 
     def forward(self, images: Tensor) -> Maps:
         """Maps of RGB images (N, 3, H, W), uint8 or float in [0, 255]; H and W multiples of 2**(stages + 1)."""
-        x = self._entry(images)
+        x = _entered(images, self)
         features = []
         for stage in self.stages:
             x = stage(x)
@@ -118,12 +121,32 @@ class HeatmapNetwork(nn.Module):
             spread=maps[:, 3 * k :].reshape(n, k, 3, h, w) + self.cell_spread,
         )
 
-    def first_features(self, images: Tensor) -> Tensor:
-        """What the first residual stage sees in such images, (N, C, H / STRIDE, W / STRIDE)."""
-        features: Tensor = self.stages[0](self._entry(images))
+
+class FirstStage(nn.Module):
+    """A network up to its first residual stage, whose weights it shares.
+
+    Attributes
+    ----------
+    channels : of what it sees
+    """
+
+    mean: Tensor
+    std: Tensor
+
+    def __init__(self, network: HeatmapNetwork) -> None:
+        super().__init__()
+        self.conv1, self.bn1, self.stage = network.conv1, network.bn1, network.stages[0]
+        self.channels = network.channels[0]
+        self.register_buffer("mean", network.mean, persistent=False)
+        self.register_buffer("std", network.std, persistent=False)
+
+    def forward(self, images: Tensor) -> Tensor:
+        """What is seen in such images as `HeatmapNetwork` takes, (N, channels, H / STRIDE, W / STRIDE)."""
+        features: Tensor = self.stage(_entered(images, self))
         return features
 
-    def _entry(self, images: Tensor) -> Tensor:
-        x = (images.to(self.mean.dtype) - self.mean) / self.std
-        x = x.contiguous(memory_format=torch.channels_last)
-        return F.max_pool2d(F.relu(self.bn1(self.conv1(x))), 3, stride=2, padding=1)
+
+def _entered(images: Tensor, network: HeatmapNetwork | FirstStage) -> Tensor:
+    x = (images.to(network.mean.dtype) - network.mean) / network.std
+    x = x.contiguous(memory_format=torch.channels_last)
+    return F.max_pool2d(F.relu(network.bn1(network.conv1(x))), 3, stride=2, padding=1)

@@ -13,8 +13,9 @@ from typing import Protocol
 import numpy as np
 
 from ...tracker.types import BoolArray, Detections, FloatArray, Frames, ImageArray, IntArray
-from .regions import WorkingRegion, patch_directions
-from .views import PATCH_SIDE, View, patch_view, resize, resized_view
+from .patches import PLACE_PX, Patch, cut_end, cut_patch, moved_ends, places
+from .regions import WorkingRegion
+from .views import View, resize
 
 LOCATOR_MULTIPLE = 32
 """The locator's input sides are multiples of this: its four stages halve them five times."""
@@ -22,10 +23,6 @@ LOCATOR_MULTIPLE = 32
 COLLAPSE_LIKELIHOOD = 0.15
 """A keypoint whose peak in the working region is under this is sought in the whole frame: a bend beyond the labelled
 ones may carry the tip out of the region. (Peaks of what is there are 0.4 to 0.9.)"""
-
-PLACE_PX = 4.0
-PLACE_TURN_DEG = 3.0
-"""What places (`places`) are counted in: patch px from the frame's corner, and degrees of the patch's turn."""
 
 ASIDE_PATCH_PX = 2.0
 """How far to the right of a keypoint and below it one of its two last patches is cut, and to the left and above the
@@ -41,6 +38,10 @@ AGREED_PATCH_PX = 8.0
 LOST_PATCH_PX = 16.0
 """A keypoint that locator and refiner put further apart than this is not the one that was learnt."""
 
+FAR_PX, FAR_RAD = 8.0, 0.25
+"""An end that is put further off, in px of its closer picture, than it was found does not look like the labelled ones:
+it stays where it was found."""
+
 MAX_INPUT_PX = 1 << 20
 """Input px that go through a network at once: its first layer's maps take 64 bytes for each."""
 
@@ -52,18 +53,19 @@ class Reader(Protocol):
         """Every keypoint in pictures (N, 3, H, W) uint8 RGB, positions and covariances in their own px."""
 
 
-@dataclass(frozen=True)
-class Patch:
-    """What the refiner is shown of a frame for one keypoint.
+class Aligner(Protocol):
+    """What tells how ends lie in closer pictures of them.
 
     Attributes
     ----------
-    picture : (PATCH_SIDE, PATCH_SIDE, 3) uint8
-    view : from frame px to patch px
+    ends : the two keypoints of each of E ends
     """
 
-    picture: ImageArray
-    view: View
+    ends: tuple[tuple[int, int], ...]
+
+    def __call__(self, pictures: ImageArray) -> FloatArray:
+        """Steps (N, E, 3), as `moved_ends` takes them, that put each end right in pictures (N, 3, END_SIDE, END_SIDE)
+        uint8 RGB."""
 
 
 @dataclass(frozen=True)
@@ -75,11 +77,13 @@ class Finder:
     locate : reads the working region
     refine : reads patches; patch i of a frame is asked for keypoint i only
     peaks : places that `locate` offers for each keypoint, next to each other, the likeliest first
+    align : tells how ends lie that look alike wherever they turn; None where there are none
     """
 
     locate: Reader
     refine: Reader
     peaks: int = 1
+    align: Aligner | None = None
 
     def detect(self, frames: Frames, region: WorkingRegion, partner: Sequence[int]) -> Detections:
         """Find the keypoints in frames of one size, each by itself.
@@ -130,17 +134,19 @@ class Finder:
         region: WorkingRegion,
         partner: Sequence[int],
     ) -> None:
-        """Look where keypoints may be, then from two sides at what was found there: the mean of those two counts.
+        """Look where keypoints may be, then once more at what was found there.
 
-        Where a keypoint lies in its patch shifts what is found there, partly the same way and partly by chance. Seen
-        from two sides the one cancels and the other is halved; and who begins a little off ends at the same position.
+        Ends are seen closer, and put where they look as in the labelled frames (`_aligned`). All others are seen from
+        two sides, and the mean counts: where a keypoint lies in its patch shifts what is found there, partly the same
+        way and partly by chance. So the one cancels and the other is halved; and who begins a little off ends at the
+        same position.
 
         Parameters
         ----------
         found : where they may be, (N, K); what is found is written into it
         wanted : (N, K) bool, which are to be looked for
         """
-        every = rows, keypoints = np.asarray(np.nonzero(wanted))
+        rows, keypoints = np.nonzero(wanted)
         if not len(rows):
             return
         for _ in range(MOST_SIGHTINGS):
@@ -152,10 +158,34 @@ class Finder:
             rows, keypoints = rows[far], keypoints[far]
             if not len(rows):
                 break
-        rows, keypoints = every
+        rows, keypoints = np.nonzero(wanted & ~self._aligned(found, wanted, frames, region))
+        if not len(rows):
+            return
         aside = np.repeat([ASIDE_PATCH_PX, -ASIDE_PATCH_PX], len(rows))[:, None]
         both = self._look(found, np.tile(rows, 2), np.tile(keypoints, 2), aside, frames, region, partner)
         _put(found, rows, keypoints, agreed(*halves(both), AGREED_PATCH_PX / region.refiner_scale))
+
+    def _aligned(
+        self, found: Detections, wanted: BoolArray, frames: Frames, region: WorkingRegion
+    ) -> BoolArray:
+        """Put ends where they look as in the labelled frames. Which keypoints (N, K) that went well for."""
+        well = np.zeros_like(wanted)
+        if self.align is None:
+            return well
+        for number, end in enumerate(self.align.ends):
+            rows = np.flatnonzero(wanted[:, end].all(axis=1))
+            if not len(rows):
+                continue
+            ends = found.xy[rows[:, None], end]
+            closer = [
+                cut_end(frames[i], own, region).picture for i, own in zip(rows.tolist(), ends, strict=True)
+            ]
+            steps = self.align(_stacked(closer))[:, number]
+            near = (np.linalg.norm(steps[:, :2], axis=1) <= FAR_PX) & (np.abs(steps[:, 2]) <= FAR_RAD)
+            moved = moved_ends(ends[near], steps[near], region.refiner_scale)
+            found.xy[rows[near, None], end] = moved
+            well[rows[near, None], end] = True
+        return well
 
     def _look(
         self,
@@ -202,28 +232,6 @@ def foretold(xy: FloatArray) -> Detections:
     return Detections(xy.copy(), np.zeros((n, k)), np.zeros((n, k, 2, 2)))
 
 
-def places(near: FloatArray, region: WorkingRegion, partner: Sequence[int]) -> FloatArray:
-    """Where patches are cut for keypoints thought to be at `near` (..., K, 2) px: middle x, middle y and turn.
-
-    (..., K, 3), counted in `PLACE_PX` and `PLACE_TURN_DEG`; upright by each keypoint's partner
-    """
-    middle = near * (region.refiner_scale / PLACE_PX)
-    turn = patch_directions(near, partner) / np.deg2rad(PLACE_TURN_DEG)
-    return np.concatenate([middle, turn[..., None]], axis=-1)
-
-
-def cut_patch(frame: ImageArray, place: FloatArray | IntArray, region: WorkingRegion) -> Patch:
-    """The patch of a frame at a place (3,)."""
-    middle = place[:2] * (PLACE_PX / region.refiner_scale)
-    turn = float(place[2] * np.deg2rad(PLACE_TURN_DEG))
-    if region.fine_scale == 1.0:
-        view = patch_view(middle, region.magnification, turn)
-        return Patch(view.cut(frame), view)
-    source, source_view = _around(frame, middle, region)
-    view = patch_view(source_view.to_input(middle), region.magnification, turn)
-    return Patch(view.cut(source), view.after(source_view))
-
-
 def halves(both: Detections) -> tuple[Detections, Detections]:
     """The first and the second half of detections (2 N, K)."""
     n = len(both.xy) // 2
@@ -265,9 +273,13 @@ def _read(reader: Reader, pictures: Sequence[ImageArray]) -> Detections:
     at_once = max(1, MAX_INPUT_PX // (pictures[0].shape[0] * pictures[0].shape[1]))
     parts = []
     for start in range(0, len(pictures), at_once):
-        stacked = np.stack(pictures[start : start + at_once])
-        parts.append(reader(np.ascontiguousarray(stacked.transpose(0, 3, 1, 2))))
+        parts.append(reader(_stacked(pictures[start : start + at_once])))
     return parts[0] if len(parts) == 1 else joined(parts)
+
+
+def _stacked(pictures: Sequence[ImageArray]) -> ImageArray:
+    """Pictures (H, W, 3) of one size as a network takes them, (N, 3, H, W)."""
+    return np.ascontiguousarray(np.stack(pictures).transpose(0, 3, 1, 2))
 
 
 def _region_picture(frame: ImageArray, region: WorkingRegion, view: View) -> ImageArray:
@@ -279,15 +291,3 @@ def _region_picture(frame: ImageArray, region: WorkingRegion, view: View) -> Ima
     small = resize(frame[region.top : bottom, region.left : right], region.locator_scale)[:h, :w]
     missing_h, missing_w = h - small.shape[0], w - small.shape[1]
     return np.pad(small, ((0, missing_h), (0, missing_w), (0, 0)), mode="edge")
-
-
-def _around(frame: ImageArray, middle: FloatArray, region: WorkingRegion) -> tuple[ImageArray, View]:
-    """A part of a frame around a patch's middle, made as small as the refiner looks at it, and how."""
-    scale = region.fine_scale
-    h, w = frame.shape[:2]
-    # Half of a turned patch's diagonal, and a little for the interpolation.
-    reach = (PATCH_SIDE * 0.71 + 2) / scale
-    left, top = (int(v) for v in np.clip(middle - reach, 0, (w - 2, h - 2)))
-    right, bottom = (int(v) for v in np.clip(middle + reach + 1, (left + 2, top + 2), (w, h)))
-    part = resize(frame[top:bottom, left:right], scale)
-    return part, resized_view(scale, (left, top), (part.shape[1], part.shape[0]))

@@ -14,8 +14,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...tracker.types import BoolArray, Detections, FloatArray, Frames, IntArray
-from .finder import LOST_PATCH_PX, Finder, cut_patch, foretold, joined, places
+from .finder import LOST_PATCH_PX, Finder, foretold, joined
 from .header import Header
+from .patches import cut_patch, places
 from .regions import WorkingRegion
 from .stillness import Sight
 

@@ -24,8 +24,9 @@ from .label_offset import with_offset
 from .regions import WorkingRegion
 
 WEIGHTS_FILE = "weights.safetensors"
-FORMAT = 2
-"""Raised when the networks' layers change."""
+FORMAT, OLDEST_FORMAT = 3, 2
+"""The former is raised when the networks' layers change, the latter when those of earlier ones cannot be read any more.
+"""
 
 SHORTER, LONGER = 0.8, 1.25
 """A keypoint and its partner may lie nearer than in any label, or further apart, by these factors: an end turns away
@@ -151,7 +152,7 @@ def read_header(path: Path, backbones: Sequence[str] = ()) -> Header:
                 f"{path}: expected a bendtrack checkpoint, got safetensors without its header"
             )
         header = json.loads(metadata["bendtrack"])
-        if header["format"] != FORMAT:
+        if not OLDEST_FORMAT <= header["format"] <= FORMAT:
             remedy = "update bendtrack" if header["format"] > FORMAT else "train again"
             raise CheckpointError(
                 f"{path}: expected checkpoint format {FORMAT}, got {header['format']}: {remedy}"

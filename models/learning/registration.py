@@ -11,7 +11,7 @@ Matthews 2004, inverse compositional), every feature weighed by how little it va
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import torch
@@ -19,19 +19,15 @@ from torch import Tensor
 
 from ...tracker.types import BoolArray, FloatArray
 from ..checkpoint import load_checkpoint
+from ..finding.patches import CLOSER, END_SIDE
 from ..finding.regions import turned
-from ..finding.views import PATCH_SIDE, centred_view
-from ..network import STRIDE, HeatmapNetwork
+from ..finding.views import centred_view
+from ..network import STRIDE, FirstStage, HeatmapNetwork
 from ..shipped import shipped_network
 from .dataset import PreparedFrame
 
-CLOSER = 2.0
-"""Pictures of an end show as much as a refiner's patch, so many times as large, features two of its px apart."""
-
-SIDE = round(CLOSER * PATCH_SIDE)
-
-WINDOW = SIDE / 4
-"""Standard deviation of how much a place counts by its distance from the end's middle, px of such a picture."""
+WINDOW = END_SIDE / 4
+"""Standard deviation of how much a place counts by its distance from the end's middle, px of its closer picture."""
 
 STEPS = 8
 LARGEST_PX, LARGEST_RAD = 2.0, 0.1
@@ -48,10 +44,10 @@ LEAST, MOST = 5, 128
 """Frames that are laid over each other at once: fewer do not tell what varies, more would fill the memory."""
 
 
-def shipped_refiner() -> HeatmapNetwork:
-    """The network whose first features ends are compared by, whatever the backbone of the one that learns."""
+def shipped_features() -> FirstStage:
+    """What ends are compared by, whatever the backbone of the network that learns."""
     refiner: HeatmapNetwork = load_checkpoint(shipped_network("resnet18")).network.refiner
-    return refiner.eval()
+    return FirstStage(refiner).eval()
 
 
 def registered(
@@ -60,7 +56,7 @@ def registered(
     known: BoolArray,
     partner: Sequence[int],
     videos: Sequence[str],
-    features: HeatmapNetwork,
+    features: FirstStage,
 ) -> FloatArray:
     """Positions of moving ends that make their pictures the same, near to the given ones and with the same mean.
 
@@ -73,24 +69,39 @@ def registered(
     known : (N, K), which positions are believed; an end with another stays where it is
     partner : from `regions.partners`
     videos : which video each of the frames is from
-    features : the network whose first ones are compared, in evaluation mode
+    features : what ends are compared by, in evaluation mode
     """
-    xy = xy.copy()
-    ends = [(k, p) for k, p in enumerate(partner) if k < p and partner[p] == k]
-    for end in map(list, ends):
-        for video in sorted(set(videos)):
-            rows = [i for i, own in enumerate(videos) if own == video and known[i, end].all()]
-            moves = len(rows) >= LEAST and np.ptp(xy[rows][:, end], axis=0).any(axis=1).all()
+    better = xy.copy()
+    for end, rows in moving_ends(xy, known, partner, videos):
+        for video in sorted({videos[i] for i in rows}):
+            of_video = [i for i in rows if videos[i] == video]
             # Every part has frames of the whole video.
-            parts = -(-len(rows) // MOST)
-            for some in (rows[part::parts] for part in range(parts if moves else 0)):
-                xy[np.ix_(some, end)] = _registered(
+            parts = -(-len(of_video) // MOST)
+            for some in (of_video[part::parts] for part in range(parts)):
+                better[np.ix_(some, end)] = _registered(
                     [frames[i] for i in some], xy[np.ix_(some, end)], features
                 )
-    return xy
+    return better
 
 
-def _registered(frames: Sequence[PreparedFrame], xy: FloatArray, features: HeatmapNetwork) -> FloatArray:
+def moving_ends(
+    xy: FloatArray, known: BoolArray, partner: Sequence[int], videos: Sequence[str]
+) -> Iterator[tuple[list[int], list[int]]]:
+    """Ends, the keypoints of each, and frames: those of videos that show it moving, in which it is known.
+
+    As `registered`'s parameters; a video in which it is known in fewer than `LEAST` frames does not show that.
+    """
+    for end in ([k, p] for k, p in enumerate(partner) if k < p and partner[p] == k):
+        rows: list[int] = []
+        for video in sorted(set(videos)):
+            own = [i for i, of in enumerate(videos) if of == video and known[i, end].all()]
+            if len(own) >= LEAST and np.ptp(xy[own][:, end], axis=0).any(axis=1).all():
+                rows += own
+        if rows:
+            yield end, rows
+
+
+def _registered(frames: Sequence[PreparedFrame], xy: FloatArray, features: FirstStage) -> FloatArray:
     """`registered` for one end (N, 2, 2) in frames of one video."""
     views = [frame.fine_view for frame in frames]
     ends = np.stack([view.to_input(own) for view, own in zip(views, xy, strict=True)])
@@ -101,12 +112,12 @@ def _registered(frames: Sequence[PreparedFrame], xy: FloatArray, features: Heatm
     for _ in range(STEPS):
         direction = np.arctan2(half[:, 1], half[:, 0]) + turn
         pictures = [
-            centred_view(at, (SIDE, SIDE), by, towards).cut(frame.fine)
+            centred_view(at, (END_SIDE, END_SIDE), by, towards).cut(frame.fine)
             for frame, at, by, towards in zip(frames, middle + moved, zoom, direction, strict=True)
         ]
         images = torch.from_numpy(np.ascontiguousarray(np.stack(pictures).transpose(0, 3, 1, 2)))
         with torch.inference_mode():
-            step: FloatArray = _step(features.first_features(images.to(features.mean.device)))
+            step: FloatArray = _step(features(images.to(features.mean.device)))
         moved += turned(step[:, :2] / zoom[:, None], direction)
         turn += step[:, 2]
     far = (np.linalg.norm(moved, axis=1) * zoom > FAR_PX) | (np.abs(turn) > FAR_RAD)

@@ -31,13 +31,14 @@ from ..finding.finder import LOCATOR_MULTIPLE, joined
 from ..finding.label_offset import with_offset
 from ..finding.mirrored import MirroredReader
 from ..finding.regions import LOCATOR_SIDE, partner_lengths, partners, working_regions
+from .alignment import learn_alignment
 from .consensus import label_offset, without_noise
 from .dataset import Batch, locator_batch, prepare, read_image, refiner_batch
 from .held_out import split
 from .inheritance import counterparts, inherit, parent_of
 from .initialisation import load_backbone, resolve_init, starting_weights
 from .pair import Pair
-from .registration import registered, shipped_refiner
+from .registration import registered, shipped_features
 from .rendered import rendered_frames
 from .schedule import Schedule
 from .settings import TrainingSettings
@@ -193,7 +194,7 @@ class _Trainer:
             rendered_frames(self.settings.seed, range(REHEARSED), self.keypoints) if knows_them else []
         )
         # Not those of the network that learns: they would come to agree with its own errors.
-        self.features = shipped_refiner().to(self.device) if knows_them and self.settings.consensus else None
+        self.features = shipped_features().to(self.device) if knows_them and self.settings.consensus else None
         self.prepared = [
             prepare(picture, xy, regions[size])
             for picture, xy, size in zip(pictures, labels, sizes, strict=True)
@@ -295,13 +296,33 @@ class _Trainer:
 
     def _less_noisy(self, found: FloatArray) -> FloatArray:
         """Labels of the frames trained on, less their noise as far as `consensus` says, from what was found there."""
+        return self._believed(found)[0]
+
+    def _believed(self, found: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """As `_less_noisy`, and which of them count."""
         labels, scale = self.labels[self.trained], self.patch_scale[self.trained]
         videos = [self.frames[i].video for i in self.trained]
         better, counts = without_noise(labels, found, self.partner, scale, videos)
         if self.features is not None:
             frames = [self.prepared[i] for i in self.trained]
             better = registered(frames, better, counts, self.partner, videos, self.features)
-        return labels + self.settings.consensus * (better - labels)
+        return labels + self.settings.consensus * (better - labels), counts
+
+    def _learn_alignment(self, network: Cascade) -> None:
+        """Let a trained network tell from closer pictures how moving ends lie."""
+        if self.features is None:
+            return
+        xy, counts = self._believed(self._detect(network, self.trained).xy)
+        network.aligner = learn_alignment(
+            [self.pictures[i] for i in self.trained],
+            [self.prepared[i].region for i in self.trained],
+            xy,
+            counts,
+            self.partner,
+            [self.frames[i].video for i in self.trained],
+            self.features,
+            self.settings.seed,
+        )
 
     def _evaluate(self, loss: float) -> None:
         """Judge the averaged network on the held-out frames, and let the targets follow it."""
@@ -344,6 +365,7 @@ class _Trainer:
         if self.best is not None and self.last_px > 1.15 * self.schedule.best_px:
             network.load_state_dict(self.best)
             step, held_out_px = self.best_step, self.schedule.best_px
+        self._learn_alignment(network)
         found = self._detect(network, self.trained)
         own, scales = self.labels[self.trained], self.patch_scale[self.trained]
         offset = label_offset(found.xy, self._less_noisy(found.xy), self.partner, scales)

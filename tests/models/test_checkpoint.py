@@ -12,11 +12,12 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
+from bendtrack.models.aligner import EndAligner
 from bendtrack.models.cascade import Cascade
 from bendtrack.models.checkpoint import Checkpoint, load_checkpoint
 from bendtrack.models.detector import NetworkDetector
 from bendtrack.models.finding.calibration import Calibration
-from bendtrack.models.finding.header import FORMAT, WEIGHTS_FILE
+from bendtrack.models.finding.header import FORMAT, OLDEST_FORMAT, WEIGHTS_FILE
 from bendtrack.models.finding.regions import WorkingRegion
 from bendtrack.models.tensor_files import write_tensors
 from bendtrack.tracker.angle import AngleDefinition
@@ -59,6 +60,35 @@ def test_comes_back_as_it_was(checkpoint: Checkpoint, tmp_path: Path) -> None:
     np.testing.assert_array_equal(before.covariance, after.covariance)
     assert again.region_for((320, 240)).locator_scale == 0.5
     assert again.region_for((640, 480)).width == 640
+
+
+def with_aligner(checkpoint: Checkpoint) -> Checkpoint:
+    """A network whose second pair of keypoints is an end that is put somewhere else wherever it is seen."""
+    torch.manual_seed(1)
+    aligner = EndAligner(1)
+    aligner.ends[0] = torch.tensor([2, 3])
+    torch.nn.init.normal_(aligner.slope, std=1e-4)
+    aligner.rest[:] = torch.tensor([2.0, -3.0, 0.1])
+    checkpoint.network.aligner = aligner.eval()
+    return checkpoint
+
+
+def test_how_ends_lie_comes_back_too(checkpoint: Checkpoint, tmp_path: Path) -> None:
+    frames = np.random.default_rng(0).integers(0, 255, (2, 120, 160, 3), dtype=np.uint8)
+    without = checkpoint.detect(frames)
+    before = with_aligner(checkpoint).detect(frames)
+    checkpoint.save(tmp_path / "model")
+    after = load_checkpoint(tmp_path / "model").detect(frames)
+    np.testing.assert_array_equal(before.xy, after.xy)
+    assert np.abs(after.xy - without.xy)[:, 2:4].min(axis=(0, 1)).max() > 0.1
+    np.testing.assert_array_equal(after.xy[:, [0, 1, 4]], without.xy[:, [0, 1, 4]])
+
+
+def test_networks_of_the_format_before_are_still_read(checkpoint: Checkpoint, tmp_path: Path) -> None:
+    header = checkpoint.to_dict() | {"format": OLDEST_FORMAT}
+    write_tensors(tmp_path / WEIGHTS_FILE, checkpoint.network.state_dict(), header)
+    frames = np.random.default_rng(0).integers(0, 255, (1, 120, 160, 3), dtype=np.uint8)
+    np.testing.assert_array_equal(load_checkpoint(tmp_path).detect(frames).xy, checkpoint.detect(frames).xy)
 
 
 def test_others_may_read_it_as_any_file(checkpoint: Checkpoint, tmp_path: Path) -> None:
@@ -126,7 +156,7 @@ def test_it_is_safetensors_with_its_header_and_no_pickle(checkpoint: Checkpoint,
         ("truncated", "got a damaged file"),
         ("foreign", "safetensors without its header"),
         ("newer", f"expected checkpoint format {FORMAT}, got {FORMAT + 1}: update bendtrack"),
-        ("older", f"expected checkpoint format {FORMAT}, got {FORMAT - 1}: train again"),
+        ("older", f"expected checkpoint format {FORMAT}, got {OLDEST_FORMAT - 1}: train again"),
         ("backbone", "expected a known backbone, got 'resnet9000'"),
         ("other weights", "got a damaged file"),
     ],
@@ -145,7 +175,7 @@ def test_what_is_no_checkpoint_is_said(
     elif damage == "foreign":
         save_file({"a": torch.zeros(2)}, path)
     elif damage in ("newer", "older"):
-        other = FORMAT + 1 if damage == "newer" else FORMAT - 1
+        other = FORMAT + 1 if damage == "newer" else OLDEST_FORMAT - 1
         save_file(tensors, path, {"bendtrack": json.dumps(header | {"format": other})})
     elif damage == "backbone":
         save_file(tensors, path, {"bendtrack": json.dumps(header | {"backbone": "resnet9000"})})

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 
+from bendtrack.models.aligner import EndAligner
 from bendtrack.models.cascade import Cascade
 from bendtrack.models.checkpoint import Checkpoint, load_checkpoint
 from bendtrack.models.compiled import RECORD, engine_folder, engine_record
@@ -64,6 +65,24 @@ def test_compiled_float32_finds_what_torch_finds(untrained: Path) -> None:
     np.testing.assert_allclose(one.xy, other.xy, atol=2e-3)
     np.testing.assert_allclose(one.likelihood, other.likelihood, atol=1e-4)
     np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-2, atol=1e-4)
+
+
+def test_a_compiled_aligner_moves_ends_as_torch_does(untrained: Path, tmp_path: Path) -> None:
+    checkpoint = load_checkpoint(untrained)
+    torch.manual_seed(1)
+    checkpoint.network.aligner = aligner = EndAligner(1).eval()
+    aligner.ends[0] = torch.tensor([2, 3])
+    torch.nn.init.normal_(aligner.slope, std=1e-4)
+    aligner.rest[0] = torch.tensor([1.0, -2.0, 0.1])
+    file = checkpoint.save(tmp_path)
+    record = build(checkpoint, file, file_sha256(file), frames(8))
+    assert record["ends"] == ((2, 3),)
+    pictures = np.stack(frames(5, seed=1))
+    one, other = (detector_of(tmp_path, engine).detect(pictures) for engine in ("torch", "openvino"))
+    np.testing.assert_allclose(one.xy, other.xy, atol=2e-3)
+    plain = detector_of(untrained, "openvino").detect(pictures)
+    np.testing.assert_allclose(plain.xy[:, :2], other.xy[:, :2], atol=1e-9)
+    assert np.linalg.norm(plain.xy - other.xy, axis=2)[:, 2:].min() > 0.1
 
 
 def test_what_moves_keypoints_too_far_is_refused_and_said(untrained: Path) -> None:

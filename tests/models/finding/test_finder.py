@@ -168,6 +168,66 @@ def test_what_the_two_networks_put_far_apart_is_unlikely(header: Header) -> None
         assert (found.likelihood == 0).all() != likely
 
 
+class TellsTheSame:
+    """An aligner that wants the second and the third keypoint moved by the same step wherever it sees them."""
+
+    ends = ((1, 2),)
+
+    def __init__(self, *step: float) -> None:
+        self.step = np.array(step)
+        self.shown: list[np.ndarray] = []
+
+    def __call__(self, pictures: np.ndarray) -> np.ndarray:
+        self.shown += list(pictures)
+        return np.broadcast_to(self.step, (len(pictures), 1, 3))
+
+
+def test_an_end_is_put_where_it_is_told_to_lie(finder: Finder, header: Header) -> None:
+    truth = arms(np.array([20.0, 65.0]))
+    frames = [picture(xy) for xy in truth]
+    plain = finder.refined(frames, truth, REGION, (1, 2, 1))
+    looks = finder.refine.shown
+    align = TellsTheSame(3.0, -6.0, 0.1)
+    told = Finder(FindsSpots(), FindsSpots(), align=align)
+    found = told.refined(frames, truth, REGION, (1, 2, 1))
+    # Three px along the end and six back across it, of pictures of three px for one of the frame.
+    for i, turn in enumerate(np.deg2rad([20.0, 65.0])):
+        along, across = np.array([np.cos(turn), np.sin(turn)]), np.array([-np.sin(turn), np.cos(turn)])
+        half = 22.5 * np.array([np.cos(turn + 0.1), np.sin(turn + 0.1)])
+        middle = truth[i, 1:].mean(axis=0) + along - 2 * across
+        np.testing.assert_allclose(found.xy[i, 1:], [middle - half, middle + half], atol=0.25)
+    # What is no end is seen from two sides as ever; an end once, and once closer.
+    np.testing.assert_allclose(found.xy[:, 0], plain.xy[:, 0], atol=1e-9)
+    assert looks - told.refine.shown == 2 * 2 * 2
+    assert [shown.shape for shown in align.shown] == [(3, 128, 128)] * 2
+    # The closer picture lies along the end: its two spots, green and blue, left and right of the middle.
+    for shown in align.shown:
+        spots = FindsSpots()(shown[None]).xy[0, 1:]
+        np.testing.assert_allclose(spots.mean(axis=0), [63.5, 63.5], atol=1.0)
+        np.testing.assert_allclose(np.ptp(spots, axis=0), [3 * 45.0, 0.0], atol=2.0)
+
+
+@pytest.mark.parametrize("step", [(9.0, 0.0, 0.0), (0.0, 0.0, -0.3), (np.nan, 0.0, 0.0)])
+def test_an_end_that_is_told_to_lie_far_off_is_seen_from_two_sides(
+    step: tuple[float, ...], finder: Finder, header: Header
+) -> None:
+    truth = arms(np.array([20.0, 65.0]))
+    frames = [picture(xy) for xy in truth]
+    told = Finder(FindsSpots(), FindsSpots(), align=TellsTheSame(*step))
+    one, other = (own.refined(frames, truth, REGION, (1, 2, 1)) for own in (finder, told))
+    np.testing.assert_array_equal(one.xy, other.xy)
+    np.testing.assert_array_equal(one.covariance, other.covariance)
+
+
+def test_an_end_of_which_one_point_is_looked_for_is_not_aligned(finder: Finder, header: Header) -> None:
+    near = arms(np.array([20.0]))
+    frame = picture(near[0])
+    near[0, 2] = np.nan
+    told = Finder(FindsSpots(), FindsSpots(), align=TellsTheSame(3.0, 3.0, 0.1))
+    one, other = (own.refined([frame], near, REGION, (1, 2, 1)) for own in (finder, told))
+    np.testing.assert_array_equal(one.xy, other.xy)
+
+
 def test_an_end_that_stretches_is_not_believed_and_searched(header: Header) -> None:
     """Behind something the tip's patch takes what it sees for the tip, further and further away."""
     truth = arms(np.full(8, 20.0))

@@ -9,8 +9,8 @@ import pytest
 
 from bendtrack.models.finding.regions import patch_directions, turned, working_regions
 from bendtrack.models.learning.dataset import PreparedFrame, prepare
-from bendtrack.models.learning.registration import LEAST, MOST, registered, shipped_refiner
-from bendtrack.models.network import HeatmapNetwork
+from bendtrack.models.learning.registration import LEAST, MOST, registered, shipped_features
+from bendtrack.models.network import FirstStage
 from bendtrack.tracker.synthetic.stream import KEYPOINTS, TRAINING, Stage, drawn_look, inflation_deg
 
 FRAMES = 16
@@ -20,8 +20,8 @@ VIDEO = ["one"] * FRAMES
 
 
 @pytest.fixture(scope="module")
-def features() -> HeatmapNetwork:
-    return shipped_refiner()
+def features() -> FirstStage:
+    return shipped_features()
 
 
 @pytest.fixture(scope="module")
