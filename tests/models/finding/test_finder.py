@@ -200,11 +200,13 @@ def test_an_end_is_put_where_it_is_told_to_lie(finder: Finder, header: Header) -
     np.testing.assert_allclose(found.xy[:, 0], plain.xy[:, 0], atol=1e-9)
     assert looks - told.refine.shown == 2 * 2 * 2
     assert [shown.shape for shown in align.shown] == [(3, 128, 128)] * 2
-    # The closer picture lies along the end: its two spots, green and blue, left and right of the middle.
+    # The closer picture lies along the end: of its two spots, green and blue, one is at its left and one at its right.
     for shown in align.shown:
         spots = FindsSpots()(shown[None]).xy[0, 1:]
         np.testing.assert_allclose(spots.mean(axis=0), [63.5, 63.5], atol=1.0)
-        np.testing.assert_allclose(np.ptp(spots, axis=0), [3 * 45.0, 0.0], atol=2.0)
+        assert spots[0, 0] < 16
+        assert spots[1, 0] > 112
+        assert np.ptp(spots[:, 1]) < 0.2
 
 
 @pytest.mark.parametrize("step", [(9.0, 0.0, 0.0), (0.0, 0.0, -0.3), (np.nan, 0.0, 0.0)])
