@@ -1,6 +1,7 @@
-"""How two trained networks find keypoints in frames: locate them in the working region, then look closely at each.
+"""How two trained networks find keypoints in frames: locate them in the working region, then look closely at each, and
+at moving ends more closely still.
 
-Knows networks only as functions from pictures to positions (`Reader`), so torch and compiled engines share every line
+Knows networks only as functions of pictures (`Reader`, `Aligner`), so torch and compiled engines share every line
 of it. The networks themselves are in `cascade.py`, compiled ones in `compiled.py`, videos in `following.py`.
 """
 

@@ -18,9 +18,9 @@ from ...tracker.types import BoolArray, FloatArray, ImageArray
 from ..aligner import EndAligner
 from ..finding.patches import cut_end, moved_ends
 from ..finding.regions import WorkingRegion
-from ..network import STRIDE, FirstStage
+from ..network import FirstStage
 from .augment import change_picture
-from .registration import ALWAYS, WINDOW, moving_ends
+from .registration import appearance, moving_ends
 
 OFF_PX, OFF_RAD = 1.0, 0.02
 """Standard deviations of how far off pictures are cut, in their px and radians: about as far as ends are found."""
@@ -111,10 +111,8 @@ class _Shown:
 def _regression(shown: _Shown, rng: np.random.Generator) -> tuple[Tensor, Tensor] | None:
     """Slope (3, C, h, w) and rest (3,) of an end, as `EndAligner`'s; None where pictures do not tell how it lies."""
     n = len(shown.ends)
-    where = shown.seen()
-    mean, variance = where.mean(dim=0), where.var(dim=0, correction=0)
-    variance = variance + ALWAYS * where.var(dim=(0, 2, 3), correction=0)[:, None, None] + 1e-9
-    weight = (_window(where) / variance).sqrt()
+    mean, _, weight = appearance(shown.seen())
+    weight = weight.sqrt()
     unit = np.array([OFF_PX, OFF_PX, OFF_RAD])
     off, rows = [], []
     for turn in range(int(np.clip(PICTURES // n, LEAST_OF_A_FRAME, MOST_OF_A_FRAME))):
@@ -138,12 +136,6 @@ def _regression(shown: _Shown, rng: np.random.Generator) -> tuple[Tensor, Tensor
     slope = slope * weight.flatten()
     rest = -slope @ (mean.flatten() + middle / weight.flatten()).double()
     return slope.unflatten(1, mean.shape).float(), rest.float()
-
-
-def _window(seen: Tensor) -> Tensor:
-    """How much places (h, w) count by their distance from the end's middle."""
-    y, x = (STRIDE * (torch.arange(side, device=seen.device) - (side - 1) / 2) for side in seen.shape[2:])
-    return torch.exp(-(x**2 + y[:, None] ** 2) / (2 * WINDOW**2))
 
 
 def _error_elsewhere(square: Tensor, y: Tensor, fold: Tensor, penalty: float) -> Tensor:

@@ -127,15 +127,27 @@ def _registered(frames: Sequence[PreparedFrame], xy: FloatArray, features: First
     return np.stack([view.to_source(own) for view, own in zip(views, ends, strict=True)])
 
 
+def appearance(seen: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Of what is seen in pictures that show the same, features (N, C, h, w): mean, variance, and weight (C, h, w)."""
+    x, y = _places(seen)
+    mean, variance = seen.mean(dim=0), seen.var(dim=0, correction=0)
+    variance = variance + ALWAYS * seen.var(dim=(0, 2, 3), correction=0)[:, None, None] + 1e-9
+    return mean, variance, torch.exp(-(x**2 + y**2) / (2 * WINDOW**2)) / variance
+
+
+def _places(seen: Tensor) -> tuple[Tensor, Tensor]:
+    """Where features (N, C, h, w) lie from the middle, x and y (h, w) px."""
+    h, w = seen.shape[2:]
+    y, x = (STRIDE * (torch.arange(side, device=seen.device) - (side - 1) / 2) for side in (h, w))
+    return x.expand(h, w), y[:, None].expand(h, w)
+
+
 def _step(seen: Tensor) -> FloatArray:
     """How far what is seen, features (N, C, h, w), lies off its mean: x and y px and radians about the middle, (N, 3),
     less their own mean."""
-    n, _, h, w = seen.shape
-    y, x = (STRIDE * (torch.arange(side, device=seen.device) - (side - 1) / 2) for side in (h, w))
-    x, y = x.expand(h, w), y[:, None].expand(h, w)
-    mean, variance = seen.mean(dim=0), seen.var(dim=0, correction=0)
-    variance = variance + ALWAYS * seen.var(dim=(0, 2, 3), correction=0)[:, None, None] + 1e-9
-    weight = torch.exp(-(x**2 + y**2) / (2 * WINDOW**2)) / variance
+    n = len(seen)
+    x, y = _places(seen)
+    mean, variance, weight = appearance(seen)
     slope_y, slope_x = torch.gradient(mean, spacing=float(STRIDE), dim=(1, 2))
     slope = torch.stack([slope_x, slope_y, slope_y * x - slope_x * y], dim=-1)
     # Against the mean of all others.
