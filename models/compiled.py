@@ -1,4 +1,4 @@
-"""Compiled networks at work: OpenVINO models read from files, as `finder.Reader`s. Needs no torch.
+"""Compiled networks at work: OpenVINO models read from files, as `finder.Reader`s and `Aligner`s. Needs no torch.
 
 How the files are made, and what each engine may change, is in `engine.py`.
 """
@@ -21,7 +21,7 @@ ENGINES = ("openvino-int8", "openvino")
 
 PARTS = ("locator", "refiner")
 ALIGNER = "aligner"
-"""Part of every engine, in float32."""
+"""Part of every engine of a network that has one, in float32."""
 
 RECORD = "engine.json"
 FORMAT = 5

@@ -7,14 +7,14 @@ of it. The networks themselves are in `cascade.py`, compiled ones in `compiled.p
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from ...tracker.types import BoolArray, Detections, FloatArray, Frames, ImageArray, IntArray
-from .patches import PLACE_PX, Patch, cut_end, cut_patch, moved_ends, places
+from .patches import FAR_PX, FAR_RAD, PLACE_PX, Patch, cut_end, cut_patch, moved_ends, places
 from .regions import WorkingRegion
 from .views import View, resize
 
@@ -38,10 +38,6 @@ AGREED_PATCH_PX = 8.0
 
 LOST_PATCH_PX = 16.0
 """A keypoint that locator and refiner put further apart than this is not the one that was learnt."""
-
-FAR_PX, FAR_RAD = 8.0, 0.25
-"""An end that is put further off, in px of its closer picture, than it was found does not look like the labelled ones:
-it stays where it was found."""
 
 MAX_INPUT_PX = 1 << 20
 """Input px that go through a network at once: its first layer's maps take 64 bytes for each."""
@@ -181,7 +177,7 @@ class Finder:
             closer = [
                 cut_end(frames[i], own, region).picture for i, own in zip(rows.tolist(), ends, strict=True)
             ]
-            steps = self.align(_stacked(closer))[:, number]
+            steps = np.concatenate([self.align(part)[:, number] for part in _in_parts(closer)])
             near = (np.linalg.norm(steps[:, :2], axis=1) <= FAR_PX) & (np.abs(steps[:, 2]) <= FAR_RAD)
             moved = moved_ends(ends[near], steps[near], region.refiner_scale)
             found.xy[rows[near, None], end] = moved
@@ -270,17 +266,16 @@ def _put(found: Detections, rows: IntArray, keypoints: IntArray, seen: Detection
 
 
 def _read(reader: Reader, pictures: Sequence[ImageArray]) -> Detections:
-    """Pictures (H, W, 3) of one size, a few at a time so that memory stays flat whatever their size."""
-    at_once = max(1, MAX_INPUT_PX // (pictures[0].shape[0] * pictures[0].shape[1]))
-    parts = []
-    for start in range(0, len(pictures), at_once):
-        parts.append(reader(_stacked(pictures[start : start + at_once])))
+    """What a reader finds in pictures (H, W, 3) of one size."""
+    parts = [reader(part) for part in _in_parts(pictures)]
     return parts[0] if len(parts) == 1 else joined(parts)
 
 
-def _stacked(pictures: Sequence[ImageArray]) -> ImageArray:
-    """Pictures (H, W, 3) of one size as a network takes them, (N, 3, H, W)."""
-    return np.ascontiguousarray(np.stack(pictures).transpose(0, 3, 1, 2))
+def _in_parts(pictures: Sequence[ImageArray]) -> Iterator[ImageArray]:
+    """Pictures (H, W, 3) of one size as networks take them, (N, 3, H, W), a few at a time: memory stays flat."""
+    at_once = max(1, MAX_INPUT_PX // (pictures[0].shape[0] * pictures[0].shape[1]))
+    for start in range(0, len(pictures), at_once):
+        yield np.ascontiguousarray(np.stack(pictures[start : start + at_once]).transpose(0, 3, 1, 2))
 
 
 def _region_picture(frame: ImageArray, region: WorkingRegion, view: View) -> ImageArray:

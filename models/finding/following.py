@@ -1,7 +1,7 @@
 """Following keypoints through a video: where they were tells where to look next, so the locator mostly rests.
 
-What is found is the refiner's word alone, as in single frames; the past only says where its patches are cut, and what
-a patch shows that shows the same as before. Wherever a patch does not show what it should, the frame is searched as if
+What is found is what is seen close by, as in single frames; the past only says where patches are cut, and what a patch
+shows that shows the same as before. Wherever a patch does not show what it should, the frame is searched as if
 it were the first, and so are those after it until both networks are sure again; and every so often the locator says
 whether it would look elsewhere.
 """
@@ -131,6 +131,9 @@ class Follower:
                     found.xy[i, k], found.likelihood[i, k] = known.xy, known.likelihood
                     found.covariance[i, k] = known.covariance
                     wanted[i, k] = False
+        # Of an end of which one point moves both are looked for: it is seen closer only as a whole.
+        for first, second in self._finder.align.ends if self._finder.align else ():
+            wanted[:, first] = wanted[:, second] = wanted[:, first] | wanted[:, second]
         self._finder.settle(found, wanted, frames, region, partner)
         for i, k, known in anew:
             known.add(found.xy[i, k], found.likelihood[i, k], found.covariance[i, k])

@@ -155,7 +155,7 @@ def read_header(path: Path, backbones: Sequence[str] = ()) -> Header:
         if not OLDEST_FORMAT <= header["format"] <= FORMAT:
             remedy = "update bendtrack" if header["format"] > FORMAT else "train again"
             raise CheckpointError(
-                f"{path}: expected checkpoint format {FORMAT}, got {header['format']}: {remedy}"
+                f"{path}: expected checkpoint format {OLDEST_FORMAT} to {FORMAT}, got {header['format']}: {remedy}"
             )
         if backbones and header["backbone"] not in backbones:
             raise CheckpointError(f"{path}: expected a known backbone, got {header['backbone']!r}")

@@ -19,6 +19,10 @@ CLOSER = 2.0
 END_SIDE = round(CLOSER * PATCH_SIDE)
 """A closer picture of an end shows as much as a patch, so many times as large."""
 
+FAR_PX, FAR_RAD = 8.0, 0.25
+"""An end that would be moved or turned further, in px of its closer picture, does not look like the others: it is
+left to what else is known of it."""
+
 
 @dataclass(frozen=True)
 class Patch:

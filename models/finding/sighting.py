@@ -178,7 +178,7 @@ def sight(glimpses: Frames, header: Header, finder: Finder) -> Sighting:
             " frames looked at; label some frames: `bendtrack new`"
         )
     header = _header_of(header, found, same, best.region, end_px)
-    parts = finder.locate, finder.refine, finder.peaks
+    parts = finder.locate, finder.refine, finder.peaks, finder.align
     knowing = HeldFinder(*parts, fixed_xy=fixed_xy, body_px=body_px, calibration=header.calibration)
     return Sighting(
         header, knowing, _resting(header.calibration.apply(found), same), end_px, float(same.mean())

@@ -2,8 +2,8 @@
 
 A patch shows an end at the scale at which a network finds it anywhere and in any state; the closer picture, cut where
 it was found, shows twice as much detail of what little is left to be told. As in supervised descent (Xiong & De la
-Torre 2013) pictures are cut a little off in all labelled frames, half of them as in other light, and how far off they
-are is regressed on them. How strongly it is held back is judged on frames that it has not seen.
+Torre 2013) pictures are cut a little off in all labelled frames, half of them changed as in other light, and how far
+off they are is regressed on them. How strongly it is held back is judged on frames that it has not seen.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ class _Shown:
         if light is not None:
             cut = [change_picture(picture, light) for picture in cut]
         images = torch.from_numpy(np.ascontiguousarray(np.stack(cut).transpose(0, 3, 1, 2)))
-        with torch.inference_mode():
+        with torch.inference_mode(), torch.backends.cudnn.flags(enabled=True, allow_tf32=False):
             features: Tensor = self.features(images.to(self.features.mean.device))
         return features
 
@@ -120,6 +120,7 @@ def _regression(shown: _Shown, rng: np.random.Generator) -> tuple[Tensor, Tensor
         seen = shown.seen(unit * off[-1], rng if turn % 2 else None)
         rows.append(((seen - mean) * weight).flatten(1))
     x = torch.cat(rows)
+    rows.clear()
     middle = x.mean(dim=0)
     x = x - middle
     y = torch.from_numpy(-np.concatenate(off)).to(x.device)

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from ...tracker.types import BoolArray, FloatArray
 from ..checkpoint import load_checkpoint
-from ..finding.patches import CLOSER, END_SIDE
+from ..finding.patches import CLOSER, END_SIDE, FAR_PX, FAR_RAD
 from ..finding.regions import turned
 from ..finding.views import centred_view
 from ..network import STRIDE, FirstStage, HeatmapNetwork
@@ -33,9 +33,6 @@ STEPS = 8
 LARGEST_PX, LARGEST_RAD = 2.0, 0.1
 """Steps taken, and no step moves or turns an end further. With half as many again frames agree better with each other
 but less with the truth."""
-
-FAR_PX, FAR_RAD = 8.0, 0.25
-"""An end that all steps together carry further does not look like the others: it stays where it was."""
 
 ALWAYS = 0.01
 """Share of a feature's variance over all places that it has everywhere, however little it varies in these frames."""

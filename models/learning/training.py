@@ -296,17 +296,18 @@ class _Trainer:
 
     def _less_noisy(self, found: FloatArray) -> FloatArray:
         """Labels of the frames trained on, less their noise as far as `consensus` says, from what was found there."""
-        return self._believed(found)[0]
+        labels = self.labels[self.trained]
+        return labels + self.settings.consensus * (self._believed(found)[0] - labels)
 
     def _believed(self, found: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """As `_less_noisy`, and which of them count."""
+        """Positions in the frames trained on, from what was found there, and which of them are not just the label."""
         labels, scale = self.labels[self.trained], self.patch_scale[self.trained]
         videos = [self.frames[i].video for i in self.trained]
         better, counts = without_noise(labels, found, self.partner, scale, videos)
         if self.features is not None:
             frames = [self.prepared[i] for i in self.trained]
             better = registered(frames, better, counts, self.partner, videos, self.features)
-        return labels + self.settings.consensus * (better - labels), counts
+        return better, counts
 
     def _learn_alignment(self, network: Cascade) -> None:
         """Let a trained network tell from closer pictures how moving ends lie."""

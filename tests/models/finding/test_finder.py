@@ -176,9 +176,11 @@ class TellsTheSame:
     def __init__(self, *step: float) -> None:
         self.step = np.array(step)
         self.shown: list[np.ndarray] = []
+        self.most = 0
 
     def __call__(self, pictures: np.ndarray) -> np.ndarray:
         self.shown += list(pictures)
+        self.most = max(self.most, len(pictures))
         return np.broadcast_to(self.step, (len(pictures), 1, 3))
 
 
@@ -207,6 +209,27 @@ def test_an_end_is_put_where_it_is_told_to_lie(finder: Finder, header: Header) -
         assert spots[0, 0] < 16
         assert spots[1, 0] > 112
         assert np.ptp(spots[:, 1]) < 0.2
+
+
+def test_many_ends_are_seen_closer_a_few_at_a_time(finder: Finder) -> None:
+    truth = arms(np.linspace(0, 60, 70))
+    frames = [picture(xy) for xy in truth]
+    align = TellsTheSame(0.0, 0.0, 0.0)
+    replace(finder, align=align).refined(frames, truth, REGION, (1, 2, 1))
+    assert len(align.shown) == 70
+    assert align.most <= 64
+
+
+def test_an_end_that_turns_about_one_of_its_points_is_seen_closer_all_the_time(
+    finder: Finder, header: Header
+) -> None:
+    turn = np.deg2rad(np.linspace(0, 30, 24))
+    middle = np.broadcast_to([170.0, 110.0], (len(turn), 2))
+    truth = np.stack([middle - [50, 0], middle, middle + 45 * np.stack([np.cos(turn), np.sin(turn)], 1)], 1)
+    told = replace(finder, align=TellsTheSame(0.0, 3.0, 0.0))
+    found = Follower(told, header).detect([picture(xy) for xy in truth])
+    across = np.stack([-np.sin(turn), np.cos(turn)], axis=1)
+    np.testing.assert_allclose(found.xy[:, 1:], truth[:, 1:] + across[:, None], atol=0.25)
 
 
 @pytest.mark.parametrize("step", [(9.0, 0.0, 0.0), (0.0, 0.0, -0.3), (np.nan, 0.0, 0.0)])
