@@ -223,7 +223,7 @@ def test_many_ends_are_seen_closer_a_few_at_a_time(finder: Finder) -> None:
 def test_an_end_that_turns_about_one_of_its_points_is_seen_closer_all_the_time(
     finder: Finder, header: Header
 ) -> None:
-    turn = np.deg2rad(np.linspace(0, 30, 24))
+    turn = np.deg2rad(np.arange(24) * 0.45)
     middle = np.broadcast_to([170.0, 110.0], (len(turn), 2))
     truth = np.stack([middle - [50, 0], middle, middle + 45 * np.stack([np.cos(turn), np.sin(turn)], 1)], 1)
     told = replace(finder, align=TellsTheSame(0.0, 3.0, 0.0))
