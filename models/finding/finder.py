@@ -16,7 +16,7 @@ import numpy as np
 from ...tracker.types import BoolArray, Detections, FloatArray, Frames, ImageArray, IntArray
 from .patches import FAR_PX, FAR_RAD, PLACE_PX, Patch, cut_end, cut_patch, moved_ends, places
 from .regions import WorkingRegion
-from .views import View, resize
+from .views import View, resize, stacked
 
 LOCATOR_MULTIPLE = 32
 """The locator's input sides are multiples of this: its four stages halve them five times."""
@@ -275,7 +275,7 @@ def _in_parts(pictures: Sequence[ImageArray]) -> Iterator[ImageArray]:
     """Pictures (H, W, 3) of one size as networks take them, (N, 3, H, W), a few at a time: memory stays flat."""
     at_once = max(1, MAX_INPUT_PX // (pictures[0].shape[0] * pictures[0].shape[1]))
     for start in range(0, len(pictures), at_once):
-        yield np.ascontiguousarray(np.stack(pictures[start : start + at_once]).transpose(0, 3, 1, 2))
+        yield stacked(pictures[start : start + at_once])
 
 
 def _region_picture(frame: ImageArray, region: WorkingRegion, view: View) -> ImageArray:

@@ -6,6 +6,7 @@ Both maps speak of pixel centres (see the glossary in `tracker/types.py`), so a 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -70,6 +71,11 @@ def resized_view(scale: float, offset_xy: tuple[int, int], size_wh: tuple[int, i
     """What `resize` does to the part of an image that begins at `offset_xy`, as a view."""
     shift = 0.5 * scale - 0.5 - scale * np.array(offset_xy, dtype=float)
     return View(np.column_stack([np.eye(2) * scale, shift]), size_wh)
+
+
+def stacked(pictures: Sequence[ImageArray]) -> ImageArray:
+    """Pictures (H, W, 3) of one size as networks take them, (N, 3, H, W)."""
+    return np.ascontiguousarray(np.stack(pictures).transpose(0, 3, 1, 2))
 
 
 def resize(image: ImageArray, scale: float) -> ImageArray:

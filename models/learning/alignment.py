@@ -18,6 +18,7 @@ from ...tracker.types import BoolArray, FloatArray, ImageArray
 from ..aligner import EndAligner
 from ..finding.patches import cut_end, moved_ends
 from ..finding.regions import WorkingRegion
+from ..finding.views import stacked
 from ..network import FirstStage
 from .augment import change_picture
 from .registration import appearance, moving_ends
@@ -102,7 +103,7 @@ class _Shown:
         ]
         if light is not None:
             cut = [change_picture(picture, light) for picture in cut]
-        images = torch.from_numpy(np.ascontiguousarray(np.stack(cut).transpose(0, 3, 1, 2)))
+        images = torch.from_numpy(stacked(cut))
         with torch.inference_mode(), torch.backends.cudnn.flags(enabled=True, allow_tf32=False):
             features: Tensor = self.features(images.to(self.features.mean.device))
         return features
@@ -131,10 +132,8 @@ def _regression(shown: _Shown, rng: np.random.Generator) -> tuple[Tensor, Tensor
     ridge = min(RIDGES, key=lambda one: float(errors[one].mean()))
     if not float(errors[ridge][2]) < UNEXPLAINED:
         return None
-    slope = (x.T.double() @ _solved(square, y, ridge * scale)).T * torch.from_numpy(unit).to(x.device)[
-        :, None
-    ]
-    slope = slope * weight.flatten()
+    per_unit = (x.T.double() @ _solved(square, y, ridge * scale)).T
+    slope = per_unit * torch.from_numpy(unit).to(x.device)[:, None] * weight.flatten()
     rest = -slope @ (mean.flatten() + middle / weight.flatten()).double()
     return slope.unflatten(1, mean.shape).float(), rest.float()
 

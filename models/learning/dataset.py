@@ -16,7 +16,7 @@ from torch import Tensor
 from ...tracker.errors import LabelError
 from ...tracker.types import BoolArray, FloatArray, ImageArray, LabelledFrame
 from ..finding.regions import WorkingRegion, patch_directions
-from ..finding.views import PATCH_SIDE, View, centred_view, patch_view, resize, resized_view
+from ..finding.views import PATCH_SIDE, View, centred_view, patch_view, resize, resized_view, stacked
 from . import augment
 
 Rng = np.random.Generator
@@ -234,7 +234,7 @@ def _stack(
     images: list[ImageArray], xy: list[FloatArray], known: list[BoolArray], present: list[BoolArray]
 ) -> Batch:
     return Batch(
-        images=np.ascontiguousarray(np.stack(images).transpose(0, 3, 1, 2)),
+        images=stacked(images),
         xy=np.nan_to_num(np.stack(xy)).astype(np.float32),
         known=np.stack(known),
         present=np.stack(present),

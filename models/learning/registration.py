@@ -21,7 +21,7 @@ from ...tracker.types import BoolArray, FloatArray
 from ..checkpoint import load_checkpoint
 from ..finding.patches import CLOSER, END_SIDE, FAR_PX, FAR_RAD
 from ..finding.regions import turned
-from ..finding.views import centred_view
+from ..finding.views import centred_view, stacked
 from ..network import STRIDE, FirstStage, HeatmapNetwork
 from ..shipped import shipped_network
 from .dataset import PreparedFrame
@@ -112,7 +112,7 @@ def _registered(frames: Sequence[PreparedFrame], xy: FloatArray, features: First
             centred_view(at, (END_SIDE, END_SIDE), by, towards).cut(frame.fine)
             for frame, at, by, towards in zip(frames, middle + moved, zoom, direction, strict=True)
         ]
-        images = torch.from_numpy(np.ascontiguousarray(np.stack(pictures).transpose(0, 3, 1, 2)))
+        images = torch.from_numpy(stacked(pictures))
         with torch.inference_mode():
             step: FloatArray = _step(features(images.to(features.mean.device)))
         moved += turned(step[:, :2] / zoom[:, None], direction)

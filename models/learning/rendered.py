@@ -13,7 +13,7 @@ import numpy as np
 from ...tracker.synthetic.stream import KEYPOINTS, TRAINING, Sample, draw
 from ...tracker.types import BoolArray, FloatArray, ImageArray
 from ..finding.regions import MAX_MAGNIFICATION, PATCH_BODY_SHARE, WorkingRegion
-from ..finding.views import PATCH_SIDE
+from ..finding.views import PATCH_SIDE, stacked
 from .dataset import PreparedFrame, prepare
 from .inheritance import counterparts
 
@@ -52,7 +52,7 @@ def rendered_pictures(seed: int, indices: Sequence[int]) -> Rendered:
     """The stream's pictures of these numbers."""
     samples = [draw(seed, index, size_wh=PICTURE_WH, families=TRAINING) for index in indices]
     return Rendered(
-        np.ascontiguousarray(np.stack([sample.picture for sample in samples]).transpose(0, 3, 1, 2)),
+        stacked([sample.picture for sample in samples]),
         np.stack([sample.keypoints_xy for sample in samples]),
         np.stack([sample.visible for sample in samples]),
         np.array([body_px(sample) for sample in samples]),

@@ -297,7 +297,7 @@ def test_a_network_that_knows_actuators_learns_how_tips_lie_from_closer_pictures
     knows.network.aligner = None
     assert with_it < 0.7 * tip_sd_deg(knows.detect(pictures[1::2]).xy, truth[1::2])
     half = trainer_from("actuator", frames[::2], definition, tmp_path / "model", consensus=0.5).finish()
-    assert half.network.aligner is None or half.network.aligner.pairs == ((2, 3),)
+    assert half.network.aligner.pairs == ((2, 3),)
     for settings in ({"start": "random"}, {"start": "actuator", "consensus": 0.0}):
         start = settings.pop("start")
         other = trainer_from(start, frames[::2], definition, tmp_path / "model", **settings)
