@@ -19,7 +19,9 @@ from .assembly import assembled
 from .calibration import Calibration, usual_peaks
 from .finder import Finder
 from .header import LONGER, SHORTER, Header
+from .patches import CLOSER, cut_end, moved_ends
 from .regions import WorkingRegion, body_length_px, find_region, patch_directions, turned
+from .sides import turn_by_sides
 
 FIRST_SIDES = (96, 128, 192, 256)
 """Input px of a whole frame's long side at a first look: actuators fill a fifth of a picture, or nearly all of it."""
@@ -53,6 +55,9 @@ SLIDE_WEIGHT = 0.5
 LEAST_USUAL = 0.5
 """A video's usual peaks are at least so high, as a share of pretraining's."""
 
+FIXED, MOVING = slice(0, 2), slice(-2, None)
+"""Which of the chain's keypoints make up its ends."""
+
 STILL_SHARE = 0.5
 """An end that moves by less than so much of what the other moves is the fixed one."""
 
@@ -65,8 +70,9 @@ class Sighting:
     ----------
     header : the network's for this video: region, the angle's sign, usual peaks, the moving end's length
     finder : knows where the fixed end is, and the body's length
-    fixed : the fixed end's points (1, 2), calibrated
+    fixed : the fixed end's points (1, 2), calibrated, and turned as its sides say
     end_px : length of the moving end
+    turn_rad : by which the moving end is found turned the wrong way, as its sides say
     seen : share of the glimpses in which the actuator was seen, held where it is in the others and of one shape
     """
 
@@ -74,18 +80,19 @@ class Sighting:
     finder: HeldFinder
     fixed: Detections
     end_px: float
+    turn_rad: float
     seen: float
 
     def believed(self, found: Detections) -> Detections:
-        """What was found in frames of the video, with the fixed end where it rests.
+        """What was found in frames of the video, with the fixed end where it rests and the moving one turned right.
 
         Nothing is believed of a frame that shows another actuator.
         """
         same = _same(found.xy, self.finder.fixed_xy, self.finder.body_px, self.end_px)
-        two = self.fixed.likelihood.shape[1]
         xy, likelihood, covariance = found.xy.copy(), found.likelihood.copy(), found.covariance.copy()
-        xy[:, :two], likelihood[:, :two] = self.fixed.xy, self.fixed.likelihood
-        covariance[:, :two] = self.fixed.covariance
+        xy[:, FIXED], likelihood[:, FIXED] = self.fixed.xy, self.fixed.likelihood
+        covariance[:, FIXED] = self.fixed.covariance
+        xy[:, MOVING] = _turned(xy[:, MOVING], self.turn_rad)
         return Detections(xy, np.where(same[:, None], likelihood, 0.0), covariance)
 
 
@@ -170,7 +177,7 @@ def sight(glimpses: Frames, header: Header, finder: Finder) -> Sighting:
     found = finder.refined(glimpses, best.xy, best.region, header.partner)
     xy = found.xy
     fixed_xy = np.median(xy[best.sound, 0], axis=0)
-    end_px = float(np.median(_end_px(xy[best.sound])))
+    end_px = float(np.median(_lengths_px(xy[best.sound][:, MOVING])))
     same = best.sound & _same(xy, fixed_xy, body_px, end_px)
     if same.mean() < LEAST_SAME:
         raise VideoError(
@@ -180,9 +187,22 @@ def sight(glimpses: Frames, header: Header, finder: Finder) -> Sighting:
     header = _header_of(header, found, same, best.region, end_px)
     parts = finder.locate, finder.refine, finder.peaks, finder.align
     knowing = HeldFinder(*parts, fixed_xy=fixed_xy, body_px=body_px, calibration=header.calibration)
-    return Sighting(
-        header, knowing, _resting(header.calibration.apply(found), same), end_px, float(same.mean())
-    )
+    fixed = _resting(header.calibration.apply(found), same)
+    fixed_rad, moving_rad = (_turn_rad(glimpses, xy[:, end], same, best.region) for end in (FIXED, MOVING))
+    fixed.xy[:] = _turned(fixed.xy, fixed_rad)
+    return Sighting(header, knowing, fixed, end_px, moving_rad, float(same.mean()))
+
+
+def _turn_rad(glimpses: Frames, ends: FloatArray, same: BoolArray, region: WorkingRegion) -> float:
+    """By which ends (N, 2, 2) px are found turned the wrong way, in the glimpses that count."""
+    chosen = np.flatnonzero(same).tolist()
+    length_px = CLOSER * region.refiner_scale * float(np.median(_lengths_px(ends[chosen])))
+    return turn_by_sides([cut_end(glimpses[i], ends[i], region).picture for i in chosen], length_px)
+
+
+def _turned(ends: FloatArray, turn_rad: float) -> FloatArray:
+    """Ends (N, 2, 2) px turned about their middles."""
+    return moved_ends(ends, np.tile([0.0, 0.0, turn_rad], (len(ends), 1)), 1.0)
 
 
 def _header_of(
@@ -216,18 +236,18 @@ def _resting(found: Detections, same: BoolArray) -> Detections:
 
     They err alike, so what all say is hardly more exact than what one says.
     """
-    xy, covariance = (np.median(part[same, :2], axis=0)[None] for part in (found.xy, found.covariance))
+    xy, covariance = (np.median(part[same, FIXED], axis=0)[None] for part in (found.xy, found.covariance))
     return Detections(xy, np.full((1, 2), same.mean()), covariance)
 
 
-def _end_px(xy: FloatArray) -> FloatArray:
-    """Length (N,) px of the moving end of chains (N, K, 2) px."""
-    return np.asarray(np.linalg.norm(xy[:, -1] - xy[:, -2], axis=1))
+def _lengths_px(ends: FloatArray) -> FloatArray:
+    """Lengths (N,) px of ends (N, 2, 2) px."""
+    return np.asarray(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))
 
 
 def _same(xy: FloatArray, fixed_xy: FloatArray, body_px: float, end_px: float) -> BoolArray:
     """Frames (N,) in which chains (N, K, 2) px are held at the fixed end and have a moving end of the right length."""
-    length = _end_px(xy)
+    length = _lengths_px(xy[:, MOVING])
     alike = (length >= SHORTEST * end_px) & (length <= LONGEST * end_px)
     return np.asarray(_held(xy, fixed_xy, body_px) & alike)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
@@ -217,6 +218,41 @@ def test_a_video_has_usual_peaks_of_its_own() -> None:
 
     seen = sight(glimpses(30), HEADER, Dim(arms(), peak))
     np.testing.assert_allclose(seen.header.calibration.usual, [0.6, 0.6, 0.4, 0.3])
+
+
+def drawn(truth: np.ndarray) -> np.ndarray:
+    """Glimpses in which both ends of chains are bright bars along their two points, numbered as `glimpses` are."""
+    pictures = glimpses(len(truth)) + np.uint8(90)
+    for picture, chain in zip(pictures, truth, strict=True):
+        for one, other in (chain[:2], chain[2:]):
+            along = (other - one) / np.linalg.norm(other - one)
+            across = 8 * along[::-1] * (-1, 1)
+            corners = [one - 6 * along - across, one - 6 * along + across]
+            corners += [other + 6 * along + across, other + 6 * along - across]
+            cv2.fillPoly(
+                picture, [np.rint(np.array(corners) * 16).astype(int)], (210, 200, 190), cv2.LINE_AA, 4
+            )
+    pictures[:, 0, 0, 0] = np.arange(len(truth))
+    return pictures
+
+
+def test_ends_are_turned_as_their_sides_say() -> None:
+    """A network that turns the moving end by 3 degrees and the fixed one by 2, in all frames, is put right."""
+    truth = arms()
+    told = truth.copy()
+    for chain in told:
+        for end, turn_deg in ((chain[:2], -2.0), (chain[2:], 3.0)):
+            turn = np.radians(turn_deg)
+            middle = end.mean(axis=0)
+            end[:] = middle + (end - middle) @ [[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]
+    seen = sight(drawn(truth), HEADER, Oracle(told, np.full((30, 4), 0.6), noise_px=0.0))
+    found = seen.believed(Detections(told, np.full((30, 4), 0.9), np.zeros((30, 4, 2, 2))))
+    for end in (slice(0, 2), slice(2, 4)):
+        direction, true = (np.diff(xy[:, end], axis=1)[:, 0] for xy in (found.xy, truth))
+        across = true[:, 0] * direction[:, 1] - true[:, 1] * direction[:, 0]
+        off_deg = np.degrees(np.arctan2(across, (true * direction).sum(axis=1)))
+        assert np.abs(off_deg).max() < 0.7
+        np.testing.assert_allclose(found.xy[:, end].mean(axis=1), told[:, end].mean(axis=1), atol=1e-6)
 
 
 def test_the_moving_end_keeps_about_its_length() -> None:

@@ -1,0 +1,74 @@
+"""Which way an end points, from pictures drawn with known sides."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from bendtrack.models.finding.sides import turn_by_sides
+
+SIDE, LENGTH = 128, 60
+
+
+def end(
+    turn_deg: float, *, taper_deg: float = 0.0, seed: int = 0, covered: int = 0, scale: int = 8
+) -> np.ndarray:
+    """An end with sides 50 px apart, as its picture shows it: before blotches, noisy, drawn without steps.
+
+    covered : -1 hides the side above behind a board, +1 that below
+    """
+    rng = np.random.default_rng(seed)
+    blotches = rng.uniform(60, 140, (8, 8, 3)).astype(np.float32)
+    picture = cv2.resize(blotches, (SIDE * scale, SIDE * scale), interpolation=cv2.INTER_CUBIC)
+    half, taper = 25.0, np.tan(np.radians(taper_deg))
+    x = np.array([-80.0, 33.0])
+    corners = np.array(
+        [*zip(x, -half + x * taper, strict=True), *zip(x[::-1], half - x[::-1] * taper, strict=True)]
+    )
+    turn = np.radians(turn_deg)
+    corners = corners @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    at = np.rint((corners + (SIDE - 1) / 2 + 0.5) * scale - 0.5).astype(int)
+    cv2.fillPoly(picture, [at], (190, 200, 205))
+    if covered:
+        top = 0 if covered < 0 else int((SIDE / 2 + 12) * scale)
+        picture[top : top + int((SIDE / 2 - 12) * scale)] = (40, 60, 90)
+    small = cv2.resize(picture, (SIDE, SIDE), interpolation=cv2.INTER_AREA)
+    return np.clip(small + rng.normal(0, 4, small.shape), 0, 255).astype(np.uint8)
+
+
+def seen_deg(turn_deg: float, frames: int = 12, **looks) -> float:
+    return float(
+        np.degrees(turn_by_sides([end(turn_deg, seed=seed, **looks) for seed in range(frames)], LENGTH))
+    )
+
+
+@pytest.mark.parametrize("turn_deg", [-4.0, -1.5, 0.0, 2.0, 5.0])
+def test_an_end_points_along_its_sides(turn_deg):
+    # A part of the network's direction is always believed.
+    assert seen_deg(turn_deg) == pytest.approx(turn_deg, abs=0.1 + 0.15 * abs(turn_deg))
+
+
+def test_an_end_that_tapers_points_along_the_line_halfway_between_its_sides():
+    assert seen_deg(2.0, taper_deg=3.0) == pytest.approx(2.0, abs=0.5)
+
+
+def test_one_side_is_believed_less_than_two():
+    both, above, below = seen_deg(3.0), seen_deg(3.0, covered=1), seen_deg(3.0, covered=-1)
+    assert 1.0 < above < both - 0.2
+    assert 1.0 < below < both - 0.2
+
+
+def test_the_edge_of_something_else_that_crosses_an_end_says_nothing():
+    assert abs(seen_deg(20.0)) < 0.7
+
+
+@pytest.mark.parametrize("level", [0, 128])
+def test_pictures_without_sides_say_nothing(level):
+    assert turn_by_sides([np.full((SIDE, SIDE, 3), level, np.uint8)] * 3, LENGTH) == pytest.approx(
+        0, abs=0.005
+    )
+
+
+def test_an_end_shorter_than_its_pictures_columns_is_no_error():
+    assert np.isfinite(turn_by_sides([end(1.0)], 5.0))
