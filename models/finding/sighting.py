@@ -20,7 +20,7 @@ from .calibration import Calibration, usual_peaks
 from .finder import Finder
 from .header import LONGER, SHORTER, Header
 from .patches import CLOSER, cut_end, moved_ends
-from .regions import WorkingRegion, body_length_px, find_region, patch_directions, turned
+from .regions import WorkingRegion, find_region, patch_directions, turned
 from .sides import turn_by_sides
 
 FIRST_SIDES = (96, 128, 192, 256)
@@ -39,12 +39,18 @@ SURE = 0.5
 LEAST_SEEN = 0.3
 """Share of the glimpses in which most of the keypoints must be seen, and the fixed end where it is held."""
 
+LONGEST_STEP = 2.0
+"""Neighbours on a chain that lie further apart, in medians of all of its neighbours, are not both on the body."""
+
 HELD_SHARE = 0.1
 """The fixed end is found where it is held, within so much of the body's length."""
 
 SHORTEST, LONGEST = 0.5, 2.0
 """How long the moving end may be, as a share of its usual length: it does not stretch, but may turn away, and where a
 smooth body begins to bend is hard to see, which does not matter to its direction."""
+
+FURTHEST_REACH = 1.3
+"""The tip is no further from the fixed end than the body is long, or much longer only where it stretches."""
 
 LEAST_SAME = 0.6
 """Share of the glimpses that must show the same actuator, or the angles would be mostly guessed."""
@@ -169,11 +175,10 @@ def sight(glimpses: Frames, header: Header, finder: Finder) -> Sighting:
     for _ in range(2):
         xy = _seen(best)
         small, large = (
-            look_again(_fitting_region(xy, (w, h), side), best.fixed_xy, body_length_px(xy))
-            for side in BODY_SIDES
+            look_again(_fitting_region(xy, (w, h), side), best.fixed_xy, _body_px(xy)) for side in BODY_SIDES
         )
         best = large if large.worth > small.worth + CLEARLY_MORE else small
-    body_px = body_length_px(_seen(best))
+    body_px = _body_px(_seen(best))
     found = finder.refined(glimpses, best.xy, best.region, header.partner)
     xy = found.xy
     fixed_xy = np.median(xy[best.sound, 0], axis=0)
@@ -240,16 +245,30 @@ def _resting(found: Detections, same: BoolArray) -> Detections:
     return Detections(xy, np.full((1, 2), same.mean()), covariance)
 
 
+def _body_px(xy: FloatArray) -> float:
+    """Length of the body along chains (N, K, 2) px, the median; 0 without any.
+
+    A keypoint that is something far away in one of them adds little to its length.
+    """
+    if not len(xy):
+        return 0.0
+    steps = np.linalg.norm(np.diff(xy, axis=1), axis=2)
+    usual = np.median(steps, axis=1, keepdims=True)
+    return float(np.median(np.minimum(steps, LONGEST_STEP * usual).sum(axis=1)))
+
+
 def _lengths_px(ends: FloatArray) -> FloatArray:
     """Lengths (N,) px of ends (N, 2, 2) px."""
     return np.asarray(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))
 
 
 def _same(xy: FloatArray, fixed_xy: FloatArray, body_px: float, end_px: float) -> BoolArray:
-    """Frames (N,) in which chains (N, K, 2) px are held at the fixed end and have a moving end of the right length."""
+    """Frames (N,) in which chains (N, K, 2) px are held at the fixed end, reach no further than the body can, and have
+    a moving end of the right length."""
     length = _lengths_px(xy[:, MOVING])
     alike = (length >= SHORTEST * end_px) & (length <= LONGEST * end_px)
-    return np.asarray(_held(xy, fixed_xy, body_px) & alike)
+    within_reach = np.linalg.norm(xy[:, -1] - fixed_xy, axis=1) <= FURTHEST_REACH * body_px
+    return np.asarray(_held(xy, fixed_xy, body_px) & alike & within_reach)
 
 
 def _held(xy: FloatArray, fixed_xy: FloatArray, body_px: float) -> BoolArray:
@@ -282,7 +301,7 @@ def _agreed(region: WorkingRegion, xy: FloatArray, likelihood: FloatArray) -> _L
     clear = np.median(likelihood, axis=1) >= SURE
     fixed_xy = _fixed_end(xy[clear]) if clear.any() else np.full(2, np.nan)
     xy, likelihood = oriented(xy, likelihood, fixed_xy)
-    sound = clear & _held(xy, fixed_xy, body_length_px(xy[clear]))
+    sound = clear & _held(xy, fixed_xy, _body_px(xy[clear]))
     worth = float(np.where(sound, likelihood.mean(axis=1), 0.0).mean())
     return _Look(region, xy, clear, sound, fixed_xy, worth)
 
@@ -312,7 +331,7 @@ def _seen(found: _Look) -> FloatArray:
 def _fitting_region(xy: FloatArray, frame_wh: tuple[int, int], body_side: int) -> WorkingRegion:
     """Where bodies found at (N, K, 2) px can be, at the scale at which they are `body_side` input px long."""
     region = find_region(xy, frame_wh)
-    fits = body_side / max(body_length_px(xy), 1.0), FIRST_SIDES[-1] / max(region.width, region.height)
+    fits = body_side / max(_body_px(xy), 1.0), FIRST_SIDES[-1] / max(region.width, region.height)
     return replace(region, locator_scale=min(1.0, *fits))
 
 

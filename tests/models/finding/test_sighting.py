@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -124,6 +126,39 @@ def test_the_region_holds_every_pose_that_was_clearly_seen() -> None:
     assert seen.seen == pytest.approx(2 / 3)
 
 
+def test_a_keypoint_taken_for_something_far_away_does_not_make_the_body_longer() -> None:
+    """Nor the scale at which it is looked at smaller."""
+
+    between = np.array([0.25, 0.5, 0.75])
+
+    class Distracted(Oracle):
+        """Takes a tool on the bench for the middle of the body, in most frames, when it looks at all of them."""
+
+        def offered(self, frames, region):
+            xy, peak = super().offered(frames, region)
+            middle = xy[:, 1:2] + between[:, None, None] * (xy[:, 2:3] - xy[:, 1:2])
+            xy = np.concatenate([xy[:, :2], middle, xy[:, 2:]], axis=1)
+            peak = np.full(xy.shape[:3], peak[0, 0, 0])
+            if region.width == SIZE_WH[0]:
+                xy[: 3 * len(xy) // 4, 3] = 40.0
+            elif 140 * region.locator_scale < 40:
+                # So small it sees nothing.
+                xy += np.random.default_rng(3).uniform(-200, 200, (len(xy), 1, 1, 2))
+            return xy, peak
+
+    keypoints = (*KEYPOINTS[:2], "mid_1", "mid_2", "mid_3", *KEYPOINTS[2:])
+    header = replace(
+        HEADER,
+        keypoints=keypoints,
+        partner=(1, 0, 3, 2, 3, 6, 5),
+        calibration=Calibration(usual_peak=(0.6,) * 7),
+    )
+    seen = sight(glimpses(30), header, Distracted(arms(), np.full((30, 4), 0.6)))
+    usual = sight(glimpses(30), HEADER, Oracle(arms(), np.full((30, 4), 0.6)))
+    scales = [s.header.region_for(SIZE_WH).locator_scale for s in (seen, usual)]
+    assert scales[0] == pytest.approx(scales[1], rel=0.15)
+
+
 @pytest.mark.parametrize(("sees_all_from", "scale_share"), [(0, 1.0), (90, 1.5), (1000, 1.0)])
 def test_a_body_is_looked_at_larger_where_more_is_seen_then(sees_all_from: int, scale_share: float) -> None:
     class ShortSighted(Oracle):
@@ -180,11 +215,14 @@ def test_nothing_is_believed_of_a_frame_with_another_shape() -> None:
     truth = arms()
     seen = sight(glimpses(30), HEADER, Oracle(truth, np.full((30, 4), 0.6)))
     assert seen.end_px == pytest.approx(30, abs=2)
-    strange = truth[[5, 6, 7]].copy()
+    strange = truth[[5, 6, 7, 8]].copy()
     strange[1, 3] = strange[1, 2]  # both points of the tip at one place
     strange[2] += 60  # not where it is held
-    found = seen.believed(Detections(strange, np.full((3, 4), 0.9), np.zeros((3, 4, 2, 2))))
-    assert found.likelihood.min(axis=1).tolist() == [0.9, 0.0, 0.0]
+    strange[3, 2:] += (
+        60 * (truth[8, 3] - truth[8, 0]) / np.linalg.norm(truth[8, 3] - truth[8, 0])
+    )  # out of reach
+    found = seen.believed(Detections(strange, np.full((4, 4), 0.9), np.zeros((4, 4, 2, 2))))
+    assert found.likelihood.min(axis=1).tolist() == [0.9, 0.0, 0.0, 0.0]
 
 
 def test_the_fixed_end_is_where_it_rests_whatever_one_frame_says() -> None:
