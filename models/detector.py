@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from ..tracker.errors import CheckpointError
-from ..tracker.types import Detections, Frames
+from ..tracker.types import BoolArray, Detections, FloatArray, Frames
 from ..tracker.video import file_sha256
 from .compiled import ENGINES, compiled_finder, engine_record
-from .finding.finder import Finder
+from .finding.finder import Aligner, Finder
 from .finding.following import Follower
 from .finding.header import Header, read_header, weights_file
 from .finding.mirrored import MirroredReader
@@ -59,6 +59,7 @@ class NetworkDetector:
         engine: str,
         device: str,
         workers: int = 1,
+        threads: int = 1,
         told: Callable[[Detections], Detections] | None = None,
     ) -> None:
         self.name = name
@@ -68,6 +69,7 @@ class NetworkDetector:
         self.device = device
         self._finder = finder
         self._workers = workers
+        self._threads = threads
         self._told = told
 
     @classmethod
@@ -109,6 +111,7 @@ class NetworkDetector:
             raise CheckpointError(_why_not(engine, record))
         if engine == TORCH:
             workers, finder = 1, _torch_finder(file, device, threads)
+            threads = threads or cores()
         else:
             threads = threads or (min(cores(), SOONEST_CORES) if soonest else cores())
             workers = 1 if soonest else threads
@@ -122,6 +125,7 @@ class NetworkDetector:
             engine=engine,
             device=device,
             workers=workers,
+            threads=threads,
         )
 
     @staticmethod
@@ -171,7 +175,9 @@ class NetworkDetector:
             No actuator can be seen.
         """
         both_ways = replace(self._finder, refine=MirroredReader(self._finder.refine))
-        seen = sight(glimpses, self.header, both_ways)
+        # A network that looks closer at some end already has learnt it from labels.
+        closer = None if both_ways.align else self._closer
+        seen = sight(glimpses, self.header, both_ways, closer)
         return NetworkDetector(
             self.name,
             seen.header,
@@ -180,8 +186,25 @@ class NetworkDetector:
             engine=self.engine,
             device=self.device,
             workers=self._workers,
+            threads=self._threads,
             told=seen.believed,
         )
+
+    def _closer(
+        self, glimpses: Frames, xy: FloatArray, same: BoolArray, region: WorkingRegion
+    ) -> tuple[FloatArray, Aligner | None]:
+        from .unlabelled import closer_look
+
+        better, aligner = closer_look(glimpses, xy, same, region, self.header.partner)
+        if aligner is None:
+            return better, None
+        if self.engine == TORCH:
+            from .aligner import TorchAligner
+
+            return better, TorchAligner(aligner.to(self.device))
+        from .engine import compiled_aligner
+
+        return better, compiled_aligner(aligner, self._workers, self._threads)
 
     @property
     def workers(self) -> int:

@@ -233,6 +233,13 @@ def _converted(network: HeatmapNetwork) -> openvino.Model:
     )
 
 
+def compiled_aligner(aligner: EndAligner, workers: int = 1, threads: int = 1) -> CompiledAligner:
+    """An aligner at work on the CPU, without a file; the arguments are those of `CompiledAligner`."""
+    with _in_private():
+        model = _converted_aligner(aligner)
+    return CompiledAligner(model, aligner.pairs, workers, threads)
+
+
 def _converted_aligner(aligner: EndAligner) -> openvino.Model:
     """An aligner for any number of pictures."""
     shape = (3, END_SIDE, END_SIDE)

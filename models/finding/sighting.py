@@ -7,7 +7,7 @@ same one all the time. What comes out is a header for this video, with which the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from ...tracker.errors import VideoError
 from ...tracker.types import BoolArray, Detections, FloatArray, Frames
 from .assembly import assembled
 from .calibration import Calibration, usual_peaks
-from .finder import Finder
+from .finder import Aligner, Finder
 from .header import LONGER, SHORTER, Header
 from .patches import CLOSER, cut_end, moved_ends
 from .regions import WorkingRegion, find_region, patch_directions, turned
@@ -66,6 +66,11 @@ FIXED, MOVING = slice(0, 2), slice(-2, None)
 
 STILL_SHARE = 0.5
 """An end that moves by less than so much of what the other moves is the fixed one."""
+
+
+Closer = Callable[[Frames, FloatArray, BoolArray, WorkingRegion], tuple[FloatArray, Aligner | None]]
+"""From glimpses, positions (N, K, 2) px found in them, which count, and the region: better ones, and what tells in
+other frames how the moving end lies."""
 
 
 @dataclass(frozen=True)
@@ -123,6 +128,21 @@ class HeldFinder(Finder):
         xy, likelihood = assembled(xy, likelihood, self.fixed_xy, self.body_px)
         return xy, likelihood * self.calibration.usual
 
+    def settle(
+        self,
+        found: Detections,
+        wanted: BoolArray,
+        frames: Frames,
+        region: WorkingRegion,
+        partner: Sequence[int],
+    ) -> None:
+        """As `Finder.settle`; what is seen closer is seen from two sides before.
+
+        Of an actuator that nobody has labelled, whether it is seen at all is the question.
+        """
+        Finder.settle(replace(self, align=None), found, wanted, frames, region, partner)
+        self._aligned(found, wanted, frames, region)
+
     def apart(
         self, located: FloatArray, found: FloatArray, region: WorkingRegion, partner: Sequence[int]
     ) -> FloatArray:
@@ -145,13 +165,14 @@ def oriented(xy: FloatArray, likelihood: FloatArray, fixed_xy: FloatArray) -> tu
     )
 
 
-def sight(glimpses: Frames, header: Header, finder: Finder) -> Sighting:
+def sight(glimpses: Frames, header: Header, finder: Finder, closer: Closer | None = None) -> Sighting:
     """Find the actuator in frames spread over a video.
 
     Parameters
     ----------
     glimpses : (N, H, W, 3) uint8 RGB, of one size
     header, finder : of a network whose keypoints are a chain from the fixed end to the moving one
+    closer : looks closer at the moving end (`models.unlabelled`); None leaves that to the finder
 
     Raises
     ------
@@ -190,7 +211,8 @@ def sight(glimpses: Frames, header: Header, finder: Finder) -> Sighting:
             " frames looked at; label some frames: `bendtrack new`"
         )
     header = _header_of(header, found, same, best.region, end_px)
-    parts = finder.locate, finder.refine, finder.peaks, finder.align
+    xy, align = (xy, finder.align) if closer is None else closer(glimpses, xy, same, best.region)
+    parts = finder.locate, finder.refine, finder.peaks, align
     knowing = HeldFinder(*parts, fixed_xy=fixed_xy, body_px=body_px, calibration=header.calibration)
     fixed = _resting(header.calibration.apply(found), same)
     fixed_rad, moving_rad = (_turn_rad(glimpses, xy[:, end], same, best.region) for end in (FIXED, MOVING))

@@ -293,6 +293,47 @@ def test_ends_are_turned_as_their_sides_say() -> None:
         np.testing.assert_allclose(found.xy[:, end].mean(axis=1), told[:, end].mean(axis=1), atol=1e-6)
 
 
+def test_what_looks_closer_says_where_the_moving_end_is_and_looks_on() -> None:
+    """In the glimpses that count; it is asked after the ends were found, and put to work in all frames."""
+    truth = arms()
+    asked: list[np.ndarray] = []
+
+    class Raising:
+        """An aligner by which the second end lies 4 px of its picture lower than it is found."""
+
+        ends = ((2, 3),)
+
+        def __call__(self, pictures):
+            return np.tile([0.0, 4.0, 0.0], (len(pictures), 1, 1))
+
+    def closer(glimpses, xy, same, region):
+        asked.append(same)
+        longer = xy.copy()
+        longer[:, 3] += 0.5 * (xy[:, 3] - xy[:, 2])
+        return longer, Raising()
+
+    xy = truth.copy()
+    xy[::6] += 150.0
+    seen = sight(glimpses(30), HEADER, Oracle(xy, np.full((30, 4), 0.6)), closer)
+    assert asked[0].tolist() == [i % 6 != 0 for i in range(30)]
+    assert seen.finder.align.ends == ((2, 3),)
+
+    reads: list[int] = []
+
+    def refine(pictures):
+        """Finds every keypoint in the middle of its patch, the less likely the more pictures were read before."""
+        reads.append(len(pictures))
+        n, middle = len(pictures), (pictures.shape[-1] - 1) / 2
+        return Detections(np.full((n, 4, 2), middle), np.full((n, 4), 0.9), np.tile(np.eye(2), (n, 4, 1, 1)))
+
+    region, frame = HEADER.regions[0], np.zeros((1, 480, 640, 3), np.uint8)
+    found = replace(seen.finder, refine=refine).refined(frame, truth[:1], region, HEADER.partner)
+    # Once, and from two sides: both ends, though the moving one is seen closer too.
+    assert sum(reads) == 4 + 8
+    np.testing.assert_allclose(found.xy[0, :2], truth[0, :2], atol=0.1)
+    np.testing.assert_allclose(found.xy[0, 2:], truth[0, 2:] + [0, 2], atol=0.1)
+
+
 def test_the_moving_end_keeps_about_its_length() -> None:
     """A frame in which its two points lie further apart is searched again, and not believed."""
     seen = sight(glimpses(30), HEADER, Oracle(arms(), np.full((30, 4), 0.6), noise_px=0.0))

@@ -1,0 +1,80 @@
+"""A closer look at moving ends without labels, in rendered frames whose truth is known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bendtrack.models.aligner import TorchAligner
+from bendtrack.models.detector import NetworkDetector
+from bendtrack.models.finding.patches import cut_end, moved_ends
+from bendtrack.models.finding.regions import patch_directions, working_regions
+from bendtrack.models.finding.views import stacked
+from bendtrack.models.shipped import shipped_network
+from bendtrack.models.unlabelled import closer_look
+from bendtrack.tracker.angle import bending_angle
+from bendtrack.tracker.synthetic.stream import KEYPOINTS, TRAINING, Stage, drawn_look, inflation_deg
+
+FRAMES = 32
+SIZE_WH = (400, 300)
+ENDS = [KEYPOINTS.index(name) for name in ("base_1", "base_2", "tip_1", "tip_2")]
+PARTNER = (1, 0, 3, 2)
+
+
+@pytest.fixture(scope="module")
+def film():
+    """Frames of one actuator while it bends, where its ends are (N, 4, 2) px, and its angle (N,) degrees."""
+    look = drawn_look(21, 3, size_wh=SIZE_WH, families=TRAINING, bend_deg=(0.0, 150.0))
+    stage = Stage(look)
+    samples = [stage.frame(float(bend), noise_seed=i) for i, bend in enumerate(inflation_deg(look, FRAMES))]
+    truth = np.stack([sample.keypoints_xy[ENDS] for sample in samples])
+    return np.stack([s.picture for s in samples]), truth, np.array([s.angle_deg for s in samples])
+
+
+def tip_deg(xy: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    apart = patch_directions(xy, PARTNER)[:, 3] - patch_directions(truth, PARTNER)[:, 3]
+    return np.asarray(np.degrees((apart + np.pi) % (2 * np.pi) - np.pi))
+
+
+def test_ends_that_are_found_here_and_there_are_laid_over_each_other_and_told_in_other_frames(film) -> None:
+    pictures, truth, _ = film
+    (region,) = working_regions(truth, [SIZE_WH] * FRAMES)
+    found = truth + np.random.default_rng(0).normal(0, 0.8, truth.shape)
+    glimpses, others = slice(0, None, 2), slice(1, None, 2)
+    same = np.ones(FRAMES // 2, bool)
+    same[5] = False
+    better, aligner = closer_look(pictures[glimpses], found[glimpses], same, region, PARTNER)
+    before, after = tip_deg(found[glimpses], truth[glimpses]), tip_deg(better, truth[glimpses])
+    assert after[same].std() < 0.5 * before[same].std()
+    np.testing.assert_array_equal(better[5], found[glimpses][5])
+    np.testing.assert_array_equal(better[:, :2], found[glimpses][:, :2])
+    assert aligner is not None
+    closer = [cut_end(picture, xy[2:], region).picture for picture, xy in zip(pictures, found, strict=True)]
+    steps = TorchAligner(aligner)(stacked(closer[others]))[:, 0]
+    told = found[others].copy()
+    told[:, 2:] = moved_ends(told[:, 2:], steps, region.refiner_scale)
+    assert tip_deg(told, truth[others]).std() < 0.5 * tip_deg(found[others], truth[others]).std()
+
+
+def test_pictures_that_tell_nothing_teach_nothing(film) -> None:
+    _, truth, _ = film
+    (region,) = working_regions(truth, [SIZE_WH] * FRAMES)
+    noise = np.random.default_rng(1).integers(0, 255, (FRAMES, SIZE_WH[1], SIZE_WH[0], 3), dtype=np.uint8)
+    found = truth + np.random.default_rng(0).normal(0, 0.8, truth.shape)
+    assert closer_look(noise, found, np.ones(FRAMES, bool), region, PARTNER)[1] is None
+
+
+def test_what_comes_with_bendtrack_measures_an_actuator_without_labels(film) -> None:
+    """With a closer look at its moving end, which is not there before a video is known."""
+    pictures, _, angle_deg = film
+    network: Path = shipped_network("resnet18")
+    detector = NetworkDetector.load(network, engine="torch")
+    assert detector._finder.align is None
+    known = detector.for_video(pictures)
+    assert known._finder.align.ends == ((7, 8),)
+    found = known.detect(pictures[::4])
+    angle, _, _ = bending_angle(found.xy, known.keypoints, known.header.definition)
+    error = np.abs(angle) - np.abs(angle_deg[::4])
+    assert np.sqrt(np.mean(error**2)) < 1.0
