@@ -16,7 +16,7 @@ def end(
 ) -> np.ndarray:
     """An end with sides 50 px apart, as its picture shows it: before blotches, noisy, drawn without steps.
 
-    covered : -1 hides the side above behind a board, +1 that below
+    covered : -1 hides the side above behind a board that lies across, +1 that below
     """
     rng = np.random.default_rng(seed)
     blotches = rng.uniform(60, 140, (8, 8, 3)).astype(np.float32)
@@ -31,8 +31,10 @@ def end(
     at = np.rint((corners + (SIDE - 1) / 2 + 0.5) * scale - 0.5).astype(int)
     cv2.fillPoly(picture, [at], (190, 200, 205))
     if covered:
-        top = 0 if covered < 0 else int((SIDE / 2 + 12) * scale)
-        picture[top : top + int((SIDE / 2 - 12) * scale)] = (40, 60, 90)
+        lean = 45 * np.tan(np.radians(30.0))
+        board = np.array([[-64, -18 - lean], [64, -18 + lean], [64, -99], [-64, -99]]) * (1, -covered)
+        at = np.rint((board + (SIDE - 1) / 2 + 0.5) * scale - 0.5).astype(int)
+        cv2.fillPoly(picture, [at], (40, 60, 90))
     small = cv2.resize(picture, (SIDE, SIDE), interpolation=cv2.INTER_AREA)
     return np.clip(small + rng.normal(0, 4, small.shape), 0, 255).astype(np.uint8)
 
@@ -57,6 +59,11 @@ def test_one_side_is_believed_less_than_two():
     both, above, below = seen_deg(3.0), seen_deg(3.0, covered=1), seen_deg(3.0, covered=-1)
     assert 1.0 < above < both - 0.2
     assert 1.0 < below < both - 0.2
+
+
+def test_one_side_alone_is_taken_to_taper_as_ends_usually_do():
+    above, below = (seen_deg(3.0, taper_deg=0.8, covered=side) for side in (1, -1))
+    assert above == pytest.approx(below, abs=0.3)
 
 
 def test_the_edge_of_something_else_that_crosses_an_end_says_nothing():

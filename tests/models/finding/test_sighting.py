@@ -293,6 +293,25 @@ def test_ends_are_turned_as_their_sides_say() -> None:
         np.testing.assert_allclose(found.xy[:, end].mean(axis=1), told[:, end].mean(axis=1), atol=1e-6)
 
 
+def test_sides_are_told_from_where_a_closer_look_finds_the_moving_end() -> None:
+    truth = arms()
+
+    def closer(glimpses, xy, same, region):
+        turn = np.radians(4.0)
+        turned = xy.copy()
+        middle = xy[:, 2:].mean(axis=1, keepdims=True)
+        turned[:, 2:] = middle + (xy[:, 2:] - middle) @ [
+            [np.cos(turn), np.sin(turn)],
+            [-np.sin(turn), np.cos(turn)],
+        ]
+        return turned, None
+
+    finder = Oracle(truth, np.full((30, 4), 0.6), noise_px=0.0)
+    assert np.degrees(sight(drawn(truth), HEADER, finder).turn_rad) == pytest.approx(0, abs=0.4)
+    seen = sight(drawn(truth), HEADER, finder, closer)
+    assert np.degrees(seen.turn_rad) == pytest.approx(-4, abs=0.8)
+
+
 def test_what_looks_closer_says_where_the_moving_end_is_and_looks_on() -> None:
     """In the glimpses that count; it is asked after the ends were found, and put to work in all frames."""
     truth = arms()
