@@ -92,7 +92,26 @@ class Follower:
         begin = 1 if self._last is None else 0
         parts = [self._next(frames[:begin])] if begin else []
         parts += [self._next(frames[i : i + AHEAD]) for i in range(begin, len(frames), AHEAD)]
-        return self._believed(joined(parts), self._region)
+        return self._believed(self._followed_back(frames, joined(parts)), self._region)
+
+    def _followed_back(self, frames: Frames, found: Detections) -> Detections:
+        """What was found, with frames in which something was lost looked at once more from those after them.
+
+        A tip that comes out from behind something is often found again before the next one is; where it was a moment
+        earlier is then known.
+        """
+        seen = self._seen(found).all(axis=1)
+        for i in range(len(frames) - 2, -1, -1):
+            if seen[i] or not seen[i + 1]:
+                continue
+            after = found.xy[i + 1]
+            step = after - found.xy[i + 2] if i + 2 < len(frames) and seen[i + 2] else np.zeros_like(after)
+            again = self._finder.refined(
+                frames[i : i + 1], (after + step)[None], self._region, self._header.partner
+            )
+            if self._seen(again).all():
+                found, seen[i] = _with(found, [i], again), True
+        return found
 
     def _next(self, frames: Frames) -> Detections:
         if self._last is None or not self._is_sure:
