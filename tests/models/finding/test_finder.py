@@ -338,3 +338,50 @@ def test_frames_that_are_passed_over_are_reckoned_with(finder: Finder, header: H
         np.testing.assert_allclose(found, arms(2.5 * np.array([10, 11, 12])), atol=0.15)
         looks[told] = (finder.refine.shown - before) // 3
     assert looks[True] < looks[False]
+
+
+class LocatesNoTip(FindsSpots):
+    """A locator that is taken in by something beside the tip in its first pictures."""
+
+    def __init__(self, pictures: int) -> None:
+        super().__init__()
+        self.pictures = pictures
+
+    def __call__(self, pictures: np.ndarray) -> Detections:
+        first = self.shown
+        found = super().__call__(pictures)
+        for i in range(max(0, min(len(pictures), self.pictures - first))):
+            found.xy[i, 2] += 30.0
+            found.likelihood[i, 2] = 0.3
+        return found
+
+
+def test_what_was_lost_at_first_is_found_from_the_frames_after_it(header: Header) -> None:
+    truth = arms(2.0 * np.arange(20))
+    frames = [picture(xy) for xy in truth]
+    found = Follower(Finder(LocatesNoTip(8), FindsSpots()), header).detect(frames)
+    np.testing.assert_allclose(found.xy, truth, atol=0.2)
+    assert (found.likelihood > 0.9).all()
+    # One by one, as they come from a camera, there is nothing after them.
+    live = Follower(Finder(LocatesNoTip(8), FindsSpots()), header)
+    first = live.detect(frames[:1])
+    assert first.likelihood[0, 2] < 0.5
+
+
+def test_looking_back_ends_where_nothing_is_seen(header: Header) -> None:
+    """Behind a board the tip may have been anywhere, and before it somewhere else."""
+
+    class StaysInTheMiddle(FindsSpots):
+        def __call__(self, pictures: np.ndarray) -> Detections:
+            found = super().__call__(pictures)
+            lost = found.likelihood < 0.1
+            return Detections(np.where(lost[..., None], 31.5, found.xy), found.likelihood, found.covariance)
+
+    truth = arms(2.0 * np.arange(20))
+    frames = [picture(xy) for xy in truth]
+    frames[4][:] = BACKGROUND
+    finder = Finder(LocatesNoTip(8), StaysInTheMiddle())
+    found = Follower(finder, header).detect(frames)
+    np.testing.assert_allclose(found.xy[5:], truth[5:], atol=0.2)
+    assert (found.likelihood[5:] > 0.9).all()
+    assert (found.likelihood[:5, 2] < 0.5).all()
