@@ -1,6 +1,7 @@
 """A checkpoint as the Detector that `tracker.tracking.track` takes: with which engine, on which device.
 
-Torch is loaded only where it computes: on a GPU, or where there is no compiled engine.
+Torch is loaded only where it computes: on a GPU, where there is no compiled engine, or where a closer look at an end is
+learnt that nobody has labelled.
 """
 
 from __future__ import annotations
@@ -175,9 +176,7 @@ class NetworkDetector:
             No actuator can be seen.
         """
         both_ways = replace(self._finder, refine=MirroredReader(self._finder.refine))
-        # A network that looks closer at some end already has learnt it from labels.
-        closer = None if both_ways.align else self._closer
-        seen = sight(glimpses, self.header, both_ways, closer)
+        seen = sight(glimpses, self.header, both_ways, self._closer)
         return NetworkDetector(
             self.name,
             seen.header,
@@ -193,17 +192,18 @@ class NetworkDetector:
     def _closer(
         self, glimpses: Frames, xy: FloatArray, same: BoolArray, region: WorkingRegion
     ) -> tuple[FloatArray, Aligner | None]:
+        import torch
+
+        from .aligner import TorchAligner
+        from .engine import compiled_aligner
         from .unlabelled import closer_look
 
-        better, aligner = closer_look(glimpses, xy, same, region, self.header.partner)
+        torch.set_num_threads(self._threads)
+        better, aligner = closer_look(glimpses, xy, same, region, self.header.partner, self.device)
         if aligner is None:
             return better, None
         if self.engine == TORCH:
-            from .aligner import TorchAligner
-
-            return better, TorchAligner(aligner.to(self.device))
-        from .engine import compiled_aligner
-
+            return better, TorchAligner(aligner)
         return better, compiled_aligner(aligner, self._workers, self._threads)
 
     @property

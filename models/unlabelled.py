@@ -23,7 +23,12 @@ SEED = 0
 
 
 def closer_look(
-    glimpses: Frames, xy: FloatArray, same: BoolArray, region: WorkingRegion, partner: Sequence[int]
+    glimpses: Frames,
+    xy: FloatArray,
+    same: BoolArray,
+    region: WorkingRegion,
+    partner: Sequence[int],
+    device: str = "cpu",
 ) -> tuple[FloatArray, EndAligner | None]:
     """Positions with the moving end's laid over each other, and what tells how it lies; None where pictures do not.
 
@@ -34,8 +39,9 @@ def closer_look(
     same : (N,) bool, the frames that count; in the others nothing moves
     region : of frames of this size
     partner : from `regions.partners`
+    device : where it is computed, and where the aligner is afterwards
     """
-    features = shipped_features()
+    features = shipped_features().to(device)
     rows = np.flatnonzero(same).tolist()
     pictures, regions, video = [glimpses[i] for i in rows], [region] * len(rows), ["glimpses"] * len(rows)
     moving = np.zeros((len(rows), xy.shape[1]), bool)

@@ -98,9 +98,10 @@ class Follower:
         """What was found, with frames in which something was lost looked at once more from those after them.
 
         A tip that comes out from behind something is often found again before the next one is; where it was a moment
-        earlier is then known.
+        earlier is then known. As when following forward, patches must show each keypoint; the locator, which was not
+        sure in these frames, is not asked again.
         """
-        seen = self._seen(found).all(axis=1)
+        seen: BoolArray = np.asarray(self._seen(found).all(axis=1))
         for i in range(len(frames) - 2, -1, -1):
             if seen[i] or not seen[i + 1]:
                 continue

@@ -116,12 +116,15 @@ def body_length_px(xy: FloatArray) -> float:
     return float(np.median(lengths)) if lengths else 0.0
 
 
-def find_region(xy: FloatArray, frame_wh: tuple[int, int]) -> WorkingRegion:
-    """The working region of frames with labels `xy` (N, K, 2) px, NaN where a keypoint is not labelled."""
+def find_region(xy: FloatArray, frame_wh: tuple[int, int], body_px: float | None = None) -> WorkingRegion:
+    """The working region of frames with labels `xy` (N, K, 2) px, NaN where a keypoint is not labelled.
+
+    body_px : the body's length; None is `body_length_px`
+    """
     points = xy.reshape(-1, 2)
     points = points[~np.isnan(points).any(axis=1)]
     low, high = points.min(axis=0), points.max(axis=0)
-    body = max(body_length_px(xy), 16.0)
+    body = max(body_length_px(xy) if body_px is None else body_px, 16.0)
     margin = max(MARGIN_SHARE * float((high - low).max()), 0.15 * body, 16.0)
     left, top = (int(v) for v in np.maximum(np.floor(low - margin), 0))
     right, bottom = (int(v) for v in np.minimum(np.ceil(high + margin), np.array(frame_wh)))

@@ -21,8 +21,8 @@ SMOOTH_PX = 1.2
 BEGIN, END = -0.45, 0.4
 """Which part of an end is looked at, as shares of its length from its middle: without corners and what holds it."""
 
-BESIDE_PX = 3, 58
-"""How far from an end's middle line its sides may lie."""
+NEAREST_PX = 3
+"""How far from an end's middle line its sides lie at least."""
 
 STEEPEST_DEG, STEP_DEG = 10.0, 0.25
 """How far a side may be turned from where the end was thought to point, and how finely that is tried."""
@@ -33,8 +33,8 @@ BELIEVED_DEG = 8.0
 FAINTEST = 0.1
 """What changes across an edge at least, in squared grey levels per px."""
 
-COLUMNS = 16
-"""Places along an end at which its sides are looked for by themselves."""
+COLUMNS, LEAST_COLUMNS = 16, 6
+"""Places along an end at which its sides are looked for by themselves, and without how many it is too short."""
 
 REACH_PX = 4
 """How far a side may lie at one of these places from where it lies along the whole end."""
@@ -46,7 +46,8 @@ EDGE_PX, WINDOW_PX = 2.5, 6
 """How wide an edge is (standard deviation), and how much beside it is looked at."""
 
 TAPER_DEG, TAPER_SD_DEG = 0.8, 1.0
-"""How far the sides of ends are usually turned toward each other, each, where only one is seen."""
+"""How far the sides of ends are usually turned toward each other, each: where only one is seen, and where two are that
+do not fit."""
 
 SIDES_SD_DEG = 0.4
 """How far halfway between two sides is usually turned from the end, however well they are seen."""
@@ -77,12 +78,17 @@ def _seen_turn(picture: FloatArray, length_px: float) -> tuple[float, float]:
     """The turn in degrees that is told best, by both sides or by one, and its standard deviation."""
     middle = (len(picture) - 1) / 2
     begin, end = np.clip(np.rint(middle + length_px * np.array([BEGIN, END])), 0, len(picture) - 1)
-    columns = np.linspace(begin, end, COLUMNS).astype(int)
+    columns = np.unique(np.linspace(begin, end, COLUMNS).astype(int))
+    if len(columns) < LEAST_COLUMNS:
+        return 0.0, np.inf
     along = columns - middle
     upper, lower = (_side(picture, columns, sign) for sign in (-1, 1))
     told = []
     if upper is not None and lower is not None:
-        told.append(_line(along, (upper + lower) / 2))
+        turn_deg, sd_deg = _line(along, (upper + lower) / 2)
+        taper_deg, _ = _line(along, (upper - lower) / 2)
+        unusual_deg = max(0.0, abs(taper_deg - TAPER_DEG) - 2 * TAPER_SD_DEG)
+        told.append((turn_deg, float(np.hypot(sd_deg, unusual_deg / 2))))
     for side, tapering in ((upper, TAPER_DEG), (lower, -TAPER_DEG)):
         if side is not None:
             turn_deg, sd_deg = _line(along, side)
@@ -103,9 +109,9 @@ def _side(picture: FloatArray, columns: IntArray, sign: int) -> FloatArray | Non
     sign : -1 for the side above, +1 for that below; None where the strongest edge there is not a side
     """
     row, turn_deg, change = _strongest_edge(picture, columns, sign)
+    middle = (len(picture) - 1) / 2
     if abs(turn_deg) > BELIEVED_DEG or change < FAINTEST:
         return None
-    middle = (len(picture) - 1) / 2
     lean = np.tan(np.radians(turn_deg))
     return row - middle + lean * (columns - middle) + _beside_edge(_level(picture, turn_deg), columns, row)
 
@@ -114,7 +120,7 @@ def _strongest_edge(picture: FloatArray, columns: IntArray, sign: int) -> tuple[
     """The row and turn in degrees of the straight line, above or below the middle, across which most changes,
     and how much does."""
     across = sign * (np.arange(len(picture)) - (len(picture) - 1) / 2)
-    beside = (across >= BESIDE_PX[0]) & (across <= BESIDE_PX[1])
+    beside = across >= NEAREST_PX
     turns_deg = np.arange(-STEEPEST_DEG, STEEPEST_DEG + STEP_DEG / 2, STEP_DEG)
     strength = []
     for turn_deg in turns_deg:

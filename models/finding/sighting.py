@@ -39,8 +39,9 @@ SURE = 0.5
 LEAST_SEEN = 0.3
 """Share of the glimpses in which most of the keypoints must be seen, and the fixed end where it is held."""
 
-LONGEST_STEP = 2.0
-"""Neighbours on a chain that lie further apart, in medians of all of its neighbours, are not both on the body."""
+LONGEST_STEP, MANY_STEPS = 2.0, 6
+"""Neighbours on a chain that lie further apart, in medians of all of its neighbours, are not both on the body, where
+there are so many that the ends' own lengths do not make the median."""
 
 HELD_SHARE = 0.1
 """The fixed end is found where it is held, within so much of the body's length."""
@@ -83,7 +84,7 @@ class Sighting:
     finder : knows where the fixed end is, and the body's length
     fixed : the fixed end's points (1, 2), calibrated, and turned as its sides say
     end_px : length of the moving end
-    turn_rad : by which the moving end is found turned the wrong way, as its sides say
+    turn_rad : by which the moving end is to be turned, from x toward y, to point along its sides
     seen : share of the glimpses in which the actuator was seen, held where it is in the others and of one shape
     """
 
@@ -207,21 +208,26 @@ def sight(glimpses: Frames, header: Header, finder: Finder, closer: Closer | Non
     same = best.sound & _same(xy, fixed_xy, body_px, end_px)
     if same.mean() < LEAST_SAME:
         raise VideoError(
-            f"expected an actuator whose moving end keeps its length, got one in {100 * same.mean():.0f} % of the"
+            f"expected an actuator that keeps its shape, got one that does in {100 * same.mean():.0f} % of the"
             " frames looked at; label some frames: `bendtrack new`"
         )
     header = _header_of(header, found, same, best.region, end_px)
-    xy, align = (xy, finder.align) if closer is None else closer(glimpses, xy, same, best.region)
+    # Where the ends of a network that learnt from labels lie, and how they point, is what those say.
+    learnt = not header.pretrained
+    xy, align = (xy, finder.align) if learnt or closer is None else closer(glimpses, xy, same, best.region)
     parts = finder.locate, finder.refine, finder.peaks, align
     knowing = HeldFinder(*parts, fixed_xy=fixed_xy, body_px=body_px, calibration=header.calibration)
     fixed = _resting(header.calibration.apply(found), same)
-    fixed_rad, moving_rad = (_turn_rad(glimpses, xy[:, end], same, best.region) for end in (FIXED, MOVING))
+    fixed_rad, moving_rad = (
+        0.0 if learnt else _turn_rad(glimpses, xy[:, end], same, best.region) for end in (FIXED, MOVING)
+    )
     fixed.xy[:] = _turned(fixed.xy, fixed_rad)
     return Sighting(header, knowing, fixed, end_px, moving_rad, float(same.mean()))
 
 
 def _turn_rad(glimpses: Frames, ends: FloatArray, same: BoolArray, region: WorkingRegion) -> float:
-    """By which ends (N, 2, 2) px are found turned the wrong way, in the glimpses that count."""
+    """By which ends (N, 2, 2) px are to be turned, from x toward y, to point along their sides, as the glimpses that
+    count say together."""
     chosen = np.flatnonzero(same).tolist()
     length_px = CLOSER * region.refiner_scale * float(np.median(_lengths_px(ends[chosen])))
     return turn_by_sides([cut_end(glimpses[i], ends[i], region).picture for i in chosen], length_px)
@@ -275,8 +281,9 @@ def _body_px(xy: FloatArray) -> float:
     if not len(xy):
         return 0.0
     steps = np.linalg.norm(np.diff(xy, axis=1), axis=2)
-    usual = np.median(steps, axis=1, keepdims=True)
-    return float(np.median(np.minimum(steps, LONGEST_STEP * usual).sum(axis=1)))
+    if steps.shape[1] >= MANY_STEPS:
+        steps = np.minimum(steps, LONGEST_STEP * np.median(steps, axis=1, keepdims=True))
+    return float(np.median(steps.sum(axis=1)))
 
 
 def _lengths_px(ends: FloatArray) -> FloatArray:
@@ -352,8 +359,9 @@ def _seen(found: _Look) -> FloatArray:
 
 def _fitting_region(xy: FloatArray, frame_wh: tuple[int, int], body_side: int) -> WorkingRegion:
     """Where bodies found at (N, K, 2) px can be, at the scale at which they are `body_side` input px long."""
-    region = find_region(xy, frame_wh)
-    fits = body_side / max(_body_px(xy), 1.0), FIRST_SIDES[-1] / max(region.width, region.height)
+    body_px = _body_px(xy)
+    region = find_region(xy, frame_wh, body_px)
+    fits = body_side / max(body_px, 1.0), FIRST_SIDES[-1] / max(region.width, region.height)
     return replace(region, locator_scale=min(1.0, *fits))
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from bendtrack.models.aligner import TorchAligner
 from bendtrack.models.detector import NetworkDetector
+from bendtrack.models.engine import compiled_aligner
 from bendtrack.models.finding.patches import cut_end, moved_ends
 from bendtrack.models.finding.regions import patch_directions, working_regions
 from bendtrack.models.finding.views import stacked
@@ -53,6 +54,9 @@ def test_ends_that_are_found_here_and_there_are_laid_over_each_other_and_told_in
     assert aligner is not None
     closer = [cut_end(picture, xy[2:], region).picture for picture, xy in zip(pictures, found, strict=True)]
     steps = TorchAligner(aligner)(stacked(closer[others]))[:, 0]
+    compiled = compiled_aligner(aligner, workers=2, threads=2)
+    assert compiled.ends == ((2, 3),)
+    np.testing.assert_allclose(compiled(stacked(closer[others]))[:, 0], steps, atol=1e-3)
     told = found[others].copy()
     told[:, 2:] = moved_ends(told[:, 2:], steps, region.refiner_scale)
     assert tip_deg(told, truth[others]).std() < 0.5 * tip_deg(found[others], truth[others]).std()

@@ -182,6 +182,7 @@ def _track_one(job: _Job, video: Path, overlay: bool, force: bool) -> str | None
         begun = time.monotonic()
         detector, definition = job.detector, job.definition
         if definition is None:
+            job.wait_for_figure()  # a network is converted meanwhile, which keeps the whole process quiet
             detector = detector.for_video(spread_frames(video, GLIMPSES))
             definition = detector.header.definition
         # Nobody said where the actuator is: what a frame says is held against those beside it.

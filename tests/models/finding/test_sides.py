@@ -77,5 +77,30 @@ def test_pictures_without_sides_say_nothing(level):
     )
 
 
-def test_an_end_shorter_than_its_pictures_columns_is_no_error():
-    assert np.isfinite(turn_by_sides([end(1.0)], 5.0))
+@pytest.mark.parametrize("length_px", [0.5, 2.0, 4.0])
+def test_an_end_of_a_few_px_has_no_sides(length_px):
+    assert turn_by_sides([end(5.0)], length_px) == 0
+
+
+@pytest.mark.parametrize("turn_deg", [5.0, 7.0])
+def test_sides_that_do_not_fit_each_other_are_believed_less(turn_deg):
+    """A board's edge below a level end, such as the jaw that holds it."""
+    pictures = [end(0.0, seed=seed) for seed in range(12)]
+    for picture in pictures:
+        lean = 64 * np.tan(np.radians(turn_deg))
+        board = np.array([[-64, 40 - lean], [64, 40 + lean], [64, 99], [-64, 99]]) + (SIDE - 1) / 2
+        cv2.fillPoly(picture, [np.rint(board * 16).astype(int)], (250, 250, 250), cv2.LINE_AA, 4)
+    assert abs(np.degrees(turn_by_sides(pictures, LENGTH))) < 0.4 * turn_deg
+
+
+@pytest.mark.parametrize("half_px", [56, 60, 61, 62, 64, 70])
+def test_sides_at_the_pictures_border_say_little_or_the_truth(half_px):
+    picture = np.full((8 * SIDE, 8 * SIDE, 3), 90, np.uint8)
+    lean = 64 * np.tan(np.radians(3.0))
+    corners = np.array(
+        [[-64, -half_px - lean], [64, -half_px + lean], [64, half_px + lean], [-64, half_px - lean]]
+    )
+    at = np.rint((corners + (SIDE - 1) / 2 + 0.5) * 8 - 0.5).astype(int)
+    cv2.fillPoly(picture, [at], (190, 200, 205))
+    picture = cv2.resize(picture, (SIDE, SIDE), interpolation=cv2.INTER_AREA)
+    assert -0.3 < np.degrees(turn_by_sides([picture], LENGTH)) < 3.3

@@ -27,6 +27,7 @@ HEADER = Header(
     regions=(WorkingRegion((256, 256), 0, 0, 256, 256, 0.5, 1.0),),
     partner=(1, 0, 3, 2),
     calibration=Calibration(usual_peak=(0.6,) * 4),
+    training={"pictures": 1},
 )
 
 
@@ -155,8 +156,10 @@ def test_a_keypoint_taken_for_something_far_away_does_not_make_the_body_longer()
     )
     seen = sight(glimpses(30), header, Distracted(arms(), np.full((30, 4), 0.6)))
     usual = sight(glimpses(30), HEADER, Oracle(arms(), np.full((30, 4), 0.6)))
-    scales = [s.header.region_for(SIZE_WH).locator_scale for s in (seen, usual)]
-    assert scales[0] == pytest.approx(scales[1], rel=0.15)
+    regions = [s.header.region_for(SIZE_WH) for s in (seen, usual)]
+    for scale in ("locator_scale", "refiner_scale"):
+        one, other = (getattr(region, scale) for region in regions)
+        assert one == pytest.approx(other, rel=0.15)
 
 
 @pytest.mark.parametrize(("sees_all_from", "scale_share"), [(0, 1.0), (90, 1.5), (1000, 1.0)])
@@ -206,7 +209,7 @@ def test_ends_that_change_their_length_are_not_those_of_one_actuator() -> None:
     xy = arms()
     xy[:13, 3] = xy[:13, 2] + 2.5 * (xy[:13, 3] - xy[:13, 2])
     with pytest.raises(
-        VideoError, match="expected an actuator whose moving end keeps its length, got one in 57 %"
+        VideoError, match="expected an actuator that keeps its shape, got one that does in 57 %"
     ):
         sight(glimpses(30), HEADER, Oracle(xy, np.full((30, 4), 0.6)))
 
@@ -291,6 +294,29 @@ def test_ends_are_turned_as_their_sides_say() -> None:
         off_deg = np.degrees(np.arctan2(across, (true * direction).sum(axis=1)))
         assert np.abs(off_deg).max() < 0.7
         np.testing.assert_allclose(found.xy[:, end].mean(axis=1), told[:, end].mean(axis=1), atol=1e-6)
+
+
+def test_a_network_that_learnt_from_labels_is_left_to_them() -> None:
+    """They may point another way than the sides; and an end seen closer was learnt from them too."""
+    learnt = replace(HEADER, training={})
+    truth = arms()
+    told = truth.copy()
+    told[:, 3] += 2.0
+
+    def closer(glimpses, xy, same, region):
+        raise AssertionError
+
+    seen = sight(drawn(truth), learnt, Oracle(told, np.full((30, 4), 0.6), noise_px=0.0), closer)
+    assert seen.turn_rad == 0
+    np.testing.assert_allclose(seen.fixed.xy[0], truth[0, :2], atol=1e-6)
+
+
+def test_a_body_of_four_points_is_as_long_as_it_is() -> None:
+    """Its long middle is no keypoint taken for something far away."""
+    far = arms()
+    far[:, 2:] += 1.5 * (far[:, 2:3] - far[:, 1:2])
+    seen = sight(glimpses(30), replace(HEADER, training={}), Oracle(far, np.full((30, 4), 0.6)))
+    assert seen.seen == 1.0
 
 
 def test_sides_are_told_from_where_a_closer_look_finds_the_moving_end() -> None:
