@@ -7,7 +7,7 @@ same one all the time. What comes out is a header for this video, with which the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,11 +16,12 @@ from ...tracker.angle import bending_angle
 from ...tracker.errors import VideoError
 from ...tracker.types import BoolArray, Detections, FloatArray, Frames
 from .assembly import assembled
-from .calibration import Calibration, usual_peaks
+from .calibration import usual_peaks
 from .finder import Aligner, Finder
 from .header import LONGER, SHORTER, Header
+from .held import HeldFinder
 from .patches import CLOSER, cut_end, moved_ends
-from .regions import WorkingRegion, find_region, patch_directions, turned
+from .regions import WorkingRegion, find_region
 from .sides import turn_by_sides
 
 FIRST_SIDES = (96, 128, 192, 256)
@@ -55,9 +56,6 @@ FURTHEST_REACH = 1.3
 
 LEAST_SAME = 0.6
 """Share of the glimpses that must show the same actuator, or the angles would be mostly guessed."""
-
-SLIDE_WEIGHT = 0.5
-"""What a distance along the body counts, between its ends, where locator and refiner say where a keypoint is."""
 
 LEAST_USUAL = 0.5
 """A video's usual peaks are at least so high, as a share of pretraining's."""
@@ -106,54 +104,6 @@ class Sighting:
         covariance[:, FIXED] = self.fixed.covariance
         xy[:, MOVING] = _turned(xy[:, MOVING], self.turn_rad)
         return Detections(xy, np.where(same[:, None], likelihood, 0.0), covariance)
-
-
-@dataclass(frozen=True, kw_only=True)
-class HeldFinder(Finder):
-    """A finder that knows where the actuator is held and how long it is: of the places offered it takes those that fit.
-
-    Attributes
-    ----------
-    fixed_xy : (2,) px, where the fixed end is
-    body_px : the body's length
-    calibration : this video's, which says what a peak is worth
-    """
-
-    fixed_xy: FloatArray
-    body_px: float
-    calibration: Calibration
-
-    def _located(self, frames: Frames, region: WorkingRegion) -> tuple[FloatArray, FloatArray]:
-        xy, peak = self.offered(frames, region)
-        likelihood = self.calibration.likelihood(peak)
-        xy, likelihood = assembled(xy, likelihood, self.fixed_xy, self.body_px)
-        return xy, likelihood * self.calibration.usual
-
-    def settle(
-        self,
-        found: Detections,
-        wanted: BoolArray,
-        frames: Frames,
-        region: WorkingRegion,
-        partner: Sequence[int],
-    ) -> None:
-        """As `Finder.settle`; what is seen closer is seen from two sides before.
-
-        Of an actuator that nobody has labelled, whether it is seen at all is the question.
-        """
-        Finder.settle(replace(self, align=None), found, wanted, frames, region, partner)
-        self._aligned(found, wanted, frames, region)
-
-    def apart(
-        self, located: FloatArray, found: FloatArray, region: WorkingRegion, partner: Sequence[int]
-    ) -> FloatArray:
-        """As `Finder.apart`; between the chain's ends a distance along it counts for less.
-
-        Nothing shows where on a smooth body a point of the midline lies, nor where a straight end begins to bend.
-        """
-        step = turned(found - located, -patch_directions(found, partner))
-        step[..., 1:-1, 0] *= SLIDE_WEIGHT
-        return super().apart(np.zeros_like(step), step, region, partner)
 
 
 def oriented(xy: FloatArray, likelihood: FloatArray, fixed_xy: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -1,0 +1,65 @@
+"""Finding an actuator in the frames of a video of which it is known where it is held and how long it is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...tracker.types import BoolArray, Detections, FloatArray, Frames
+from .assembly import assembled
+from .calibration import Calibration
+from .finder import Finder
+from .regions import WorkingRegion, patch_directions, turned
+
+SLIDE_WEIGHT = 0.5
+"""What a distance along the body counts, between its ends, where locator and refiner say where a keypoint is."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldFinder(Finder):
+    """A finder that knows where the actuator is held and how long it is: of the places offered it takes those that fit.
+
+    Attributes
+    ----------
+    fixed_xy : (2,) px, where the fixed end is
+    body_px : the body's length
+    calibration : this video's, which says what a peak is worth
+    """
+
+    fixed_xy: FloatArray
+    body_px: float
+    calibration: Calibration
+
+    def _located(self, frames: Frames, region: WorkingRegion) -> tuple[FloatArray, FloatArray]:
+        xy, peak = self.offered(frames, region)
+        likelihood = self.calibration.likelihood(peak)
+        xy, likelihood = assembled(xy, likelihood, self.fixed_xy, self.body_px)
+        return xy, likelihood * self.calibration.usual
+
+    def settle(
+        self,
+        found: Detections,
+        wanted: BoolArray,
+        frames: Frames,
+        region: WorkingRegion,
+        partner: Sequence[int],
+    ) -> None:
+        """As `Finder.settle`; what is seen closer is seen from two sides before.
+
+        Of an actuator that nobody has labelled, whether it is seen at all is the question.
+        """
+        Finder.settle(replace(self, align=None), found, wanted, frames, region, partner)
+        self._aligned(found, wanted, frames, region)
+
+    def apart(
+        self, located: FloatArray, found: FloatArray, region: WorkingRegion, partner: Sequence[int]
+    ) -> FloatArray:
+        """As `Finder.apart`; between the chain's ends a distance along it counts for less.
+
+        Nothing shows where on a smooth body a point of the midline lies, nor where a straight end begins to bend.
+        """
+        step = turned(found - located, -patch_directions(found, partner))
+        step[..., 1:-1, 0] *= SLIDE_WEIGHT
+        return super().apart(np.zeros_like(step), step, region, partner)
