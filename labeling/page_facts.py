@@ -114,7 +114,7 @@ class PageFacts:
             "note": state.note,
             "revision": state.revision,
             "size_wh": None if size_wh is None else list(size_wh),
-            "model_px": None if farthest is None else round(farthest[1], 2),
+            "model_px": None if farthest is None else farthest[1],
             "model_worst": None if farthest is None else farthest[0],
             "likelihood": min(prediction.likelihood.values())
             if prediction and prediction.likelihood

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from desk import KEYPOINTS
 from playwright.sync_api import expect
 
 from bendtrack.labeling.store import LabelStore, image_name
+from bendtrack.models.checkpoint import load_checkpoint
 from bendtrack.tracker.angle import DEFINITIONS, AngleDefinition, bending_angle
 from bendtrack.tracker.project import Project
 
@@ -131,15 +133,16 @@ def test_ghosts_copies_and_the_film_strip(make_desk, sample_project, sample_trut
 @pytest.mark.slow
 def test_the_network_as_ghosts(make_desk, trained_project) -> None:
     """A network that has learnt next to nothing and is sure of it: it disagrees with labels, and the page says so."""
-    facts_file = trained_project.models_dir / "model" / "checkpoint.json"
-    facts = json.loads(facts_file.read_text())
-    facts["calibration"] |= {"scale": 1e-3, "label_sd_px": 0.0}
-    facts_file.write_text(json.dumps(facts))
+    network = trained_project.models_dir / "model"
+    checkpoint = load_checkpoint(network)
+    sure = replace(checkpoint.calibration, scale=1e-9, label_sd_px=0.0)
+    replace(checkpoint, calibration=sure).save(network)
     labeller = make_desk(trained_project.root).page()
     page = labeller.page
     worst = page.get_by_role("radio", name="Worst")
     expect(worst).to_contain_text("10", timeout=60_000)  # looked at one after the other, unasked
     worst.click()
+    expect(page.locator(".film-frame .fine").filter(has_not_text="Δ")).to_have_count(0)
     distances = [float(w.split()[1]) for w in page.locator(".film-frame .fine").all_inner_texts()]
     assert distances == sorted(distances, reverse=True)
     assert distances[0] > 5
