@@ -138,8 +138,7 @@ def build(
         candidates[in_integers] = lambda part: _in_integers(maps[part], kept.pictures[part])
     align = None
     if network.aligner is not None:
-        with _in_private():
-            aligner = _converted_aligner(network.aligner)
+        aligner = _converted_aligner(network.aligner)
         align = CompiledAligner(aligner, network.aligner.pairs)
     engines: dict[str, Any] = {}
     # Without labelled pictures anything will do to see that a plain compilation does what torch does.
@@ -235,16 +234,17 @@ def _converted(network: HeatmapNetwork) -> openvino.Model:
 
 def compiled_aligner(aligner: EndAligner, workers: int = 1, threads: int = 1) -> CompiledAligner:
     """An aligner at work on the CPU, without a file; the arguments are those of `CompiledAligner`."""
-    with _in_private():
-        model = _converted_aligner(aligner)
-    return CompiledAligner(model, aligner.pairs, workers, threads)
+    return CompiledAligner(_converted_aligner(aligner), aligner.pairs, workers, threads)
 
 
 def _converted_aligner(aligner: EndAligner) -> openvino.Model:
     """An aligner for any number of pictures."""
     shape = (3, END_SIDE, END_SIDE)
     example = torch.zeros((2, *shape), dtype=torch.uint8)
-    return openvino.convert_model(aligner, example_input=example, input=[openvino.PartialShape([-1, *shape])])
+    with _in_private():
+        return openvino.convert_model(
+            aligner, example_input=example, input=[openvino.PartialShape([-1, *shape])]
+        )
 
 
 def _in_integers(maps: openvino.Model, pictures: Sequence[ImageArray]) -> openvino.Model:

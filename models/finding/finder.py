@@ -75,12 +75,15 @@ class Finder:
     refine : reads patches; patch i of a frame is asked for keypoint i only
     peaks : places that `locate` offers for each keypoint, next to each other, the likeliest first
     align : tells how ends lie that look alike wherever they turn; None where there are none
+    thorough : whether those ends are seen from two sides too, before that: where nobody has labelled anything, whether
+        an end is seen at all is the question
     """
 
     locate: Reader
     refine: Reader
     peaks: int = 1
     align: Aligner | None = None
+    thorough: bool = False
 
     def detect(self, frames: Frames, region: WorkingRegion, partner: Sequence[int]) -> Detections:
         """Find the keypoints in frames of one size, each by itself.
@@ -155,12 +158,14 @@ class Finder:
             rows, keypoints = rows[far], keypoints[far]
             if not len(rows):
                 break
-        rows, keypoints = np.nonzero(wanted & ~self._aligned(found, wanted, frames, region))
-        if not len(rows):
-            return
-        aside = np.repeat([ASIDE_PATCH_PX, -ASIDE_PATCH_PX], len(rows))[:, None]
-        both = self._look(found, np.tile(rows, 2), np.tile(keypoints, 2), aside, frames, region, partner)
-        _put(found, rows, keypoints, agreed(*halves(both), AGREED_PATCH_PX / region.refiner_scale))
+        left = wanted if self.thorough else wanted & ~self._aligned(found, wanted, frames, region)
+        rows, keypoints = np.nonzero(left)
+        if len(rows):
+            aside = np.repeat([ASIDE_PATCH_PX, -ASIDE_PATCH_PX], len(rows))[:, None]
+            both = self._look(found, np.tile(rows, 2), np.tile(keypoints, 2), aside, frames, region, partner)
+            _put(found, rows, keypoints, agreed(*halves(both), AGREED_PATCH_PX / region.refiner_scale))
+        if self.thorough:
+            self._aligned(found, wanted, frames, region)
 
     def _aligned(
         self, found: Detections, wanted: BoolArray, frames: Frames, region: WorkingRegion

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from ...tracker.types import BoolArray, Detections, FloatArray, Frames
+from ...tracker.types import FloatArray, Frames
 from .assembly import assembled
 from .calibration import Calibration
 from .finder import Finder
@@ -31,27 +31,13 @@ class HeldFinder(Finder):
     fixed_xy: FloatArray
     body_px: float
     calibration: Calibration
+    thorough: bool = True
 
     def _located(self, frames: Frames, region: WorkingRegion) -> tuple[FloatArray, FloatArray]:
         xy, peak = self.offered(frames, region)
         likelihood = self.calibration.likelihood(peak)
         xy, likelihood = assembled(xy, likelihood, self.fixed_xy, self.body_px)
         return xy, likelihood * self.calibration.usual
-
-    def settle(
-        self,
-        found: Detections,
-        wanted: BoolArray,
-        frames: Frames,
-        region: WorkingRegion,
-        partner: Sequence[int],
-    ) -> None:
-        """As `Finder.settle`; what is seen closer is seen from two sides before.
-
-        Of an actuator that nobody has labelled, whether it is seen at all is the question.
-        """
-        Finder.settle(replace(self, align=None), found, wanted, frames, region, partner)
-        self._aligned(found, wanted, frames, region)
 
     def apart(
         self, located: FloatArray, found: FloatArray, region: WorkingRegion, partner: Sequence[int]

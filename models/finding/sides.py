@@ -24,8 +24,8 @@ BEGIN, END = -0.45, 0.4
 NEAREST_PX = 3
 """How far from an end's middle line its sides lie at least."""
 
-STEEPEST_DEG, STEP_DEG = 10.0, 0.25
-"""How far a side may be turned from where the end was thought to point, and how finely that is tried."""
+TURNS_DEG = np.linspace(-10.0, 10.0, 81)
+"""How far a side may be turned from where the end was thought to point."""
 
 BELIEVED_DEG = 8.0
 """A side that is turned further is the edge of something else."""
@@ -82,7 +82,8 @@ def _seen_turn(picture: FloatArray, length_px: float) -> tuple[float, float]:
     if len(columns) < LEAST_COLUMNS:
         return 0.0, np.inf
     along = columns - middle
-    upper, lower = (_side(picture, columns, sign) for sign in (-1, 1))
+    change = _change(picture, columns)
+    upper, lower = (_side(picture, columns, change, sign) for sign in (-1, 1))
     told = []
     if upper is not None and lower is not None:
         turn_deg, sd_deg = _line(along, (upper + lower) / 2)
@@ -103,32 +104,31 @@ def _line(along: FloatArray, across: FloatArray) -> tuple[float, float]:
     return float(np.degrees(np.arctan(slope))), float(sd)
 
 
-def _side(picture: FloatArray, columns: IntArray, sign: int) -> FloatArray | None:
+def _side(picture: FloatArray, columns: IntArray, change: FloatArray, sign: int) -> FloatArray | None:
     """Where one side of an end lies in each of some columns, px below the picture's middle.
 
+    change : from `_change`
     sign : -1 for the side above, +1 for that below; None where the strongest edge there is not a side
     """
-    row, turn_deg, change = _strongest_edge(picture, columns, sign)
     middle = (len(picture) - 1) / 2
-    if abs(turn_deg) > BELIEVED_DEG or change < FAINTEST:
+    beside = np.where(sign * (np.arange(len(picture)) - middle) >= NEAREST_PX, change, 0.0)
+    best, row = np.unravel_index(int(np.argmax(beside)), beside.shape)
+    turn_deg = float(TURNS_DEG[best])
+    if abs(turn_deg) > BELIEVED_DEG or beside[best, row] < FAINTEST:
         return None
     lean = np.tan(np.radians(turn_deg))
-    return row - middle + lean * (columns - middle) + _beside_edge(_level(picture, turn_deg), columns, row)
+    beside_row = _beside_edge(_level(picture, turn_deg), columns, int(row))
+    return row - middle + lean * (columns - middle) + beside_row
 
 
-def _strongest_edge(picture: FloatArray, columns: IntArray, sign: int) -> tuple[int, float, float]:
-    """The row and turn in degrees of the straight line, above or below the middle, across which most changes,
-    and how much does."""
-    across = sign * (np.arange(len(picture)) - (len(picture) - 1) / 2)
-    beside = across >= NEAREST_PX
-    turns_deg = np.arange(-STEEPEST_DEG, STEEPEST_DEG + STEP_DEG / 2, STEP_DEG)
-    strength = []
-    for turn_deg in turns_deg:
+def _change(picture: FloatArray, columns: IntArray) -> FloatArray:
+    """How much changes across straight lines through some columns, by turn (`TURNS_DEG`) and row in their middle."""
+    changes = []
+    for turn_deg in TURNS_DEG:
         profile = _level(picture, turn_deg)[:, columns[0] : columns[-1] + 1].mean(axis=1)
         change = np.square(np.gradient(profile, axis=0)).sum(axis=1, keepdims=True)
-        strength.append(np.where(beside, cv2.GaussianBlur(change, (0, 0), LINE_PX)[:, 0], 0.0))
-    best, row = np.unravel_index(int(np.argmax(strength)), (len(turns_deg), len(picture)))
-    return int(row), float(turns_deg[best]), float(strength[best][row])
+        changes.append(cv2.GaussianBlur(change, (0, 0), LINE_PX)[:, 0])
+    return np.stack(changes)
 
 
 def _beside_edge(level: FloatArray, columns: IntArray, row: int) -> FloatArray:
