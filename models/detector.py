@@ -1,7 +1,7 @@
 """A checkpoint as the Detector that `tracker.tracking.track` takes: with which engine, on which device.
 
-Torch is loaded only where it computes: on a GPU, where there is no compiled engine, or where a closer look at an end is
-learnt that nobody has labelled.
+Torch is loaded only where it computes: on a GPU, where there is no compiled engine, or where an actuator is learnt that
+nobody has labelled.
 """
 
 from __future__ import annotations
@@ -14,16 +14,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ..tracker.errors import CheckpointError
+from ..tracker.errors import CheckpointError, TrainingError
 from ..tracker.types import BoolArray, Detections, FloatArray, Frames
 from ..tracker.video import file_sha256
 from .compiled import ENGINES, compiled_finder, engine_record
 from .finding.finder import Aligner, Finder
 from .finding.following import Follower
+from .finding.glimpses import Examples
 from .finding.header import Header, read_header, weights_file
 from .finding.mirrored import MirroredReader
 from .finding.regions import WorkingRegion
-from .finding.sighting import sight
+from .finding.sighting import LEAST_SURE, sight
+from .finding.tempered import TemperedReader
 
 TORCH = "torch"
 CHOICES = ("auto", *ENGINES, TORCH)
@@ -47,7 +49,9 @@ class NetworkDetector:
     header : what the checkpoint means
     engine : "openvino-int8", "openvino" or "torch"
     device : "cpu" or "cuda"
-    sha256 : hash of the checkpoint's file
+    file : the checkpoint's
+    sha256 : its hash
+    learns : whether `for_video` lets it learn the actuator where it is not sure of it everywhere
     """
 
     def __init__(
@@ -56,18 +60,22 @@ class NetworkDetector:
         header: Header,
         finder: Finder,
         *,
+        file: Path,
         sha256: str,
         engine: str,
         device: str,
         workers: int = 1,
         threads: int = 1,
+        learns: bool = False,
         told: Callable[[Detections], Detections] | None = None,
     ) -> None:
         self.name = name
         self.header = header
+        self.file = file
         self.sha256 = sha256
         self.engine = engine
         self.device = device
+        self.learns = learns and header.pretrained
         self._finder = finder
         self._workers = workers
         self._threads = threads
@@ -82,6 +90,7 @@ class NetworkDetector:
         device: str = "auto",
         threads: int | None = None,
         soonest: bool = False,
+        learns: bool = False,
     ) -> NetworkDetector:
         """Read a checkpoint file or folder.
 
@@ -94,6 +103,7 @@ class NetworkDetector:
         threads : cores for the network; None takes all
         soonest : whether all cores are to work on one frame, which is known sooner, and not each on one of its own,
             which measures more frames
+        learns : whether `for_video` lets a pretrained network learn the actuator where it is not sure of it everywhere
 
         Raises
         ------
@@ -122,11 +132,13 @@ class NetworkDetector:
             file.resolve().parent.name,
             header,
             finder,
+            file=file,
             sha256=sha256,
             engine=engine,
             device=device,
             workers=workers,
             threads=threads,
+            learns=learns,
         )
 
     @staticmethod
@@ -154,6 +166,7 @@ class NetworkDetector:
             "backbone": self.header.backbone,
             "engine": self.engine,
             "follows": self._follows,
+            **({"learns": True} if self.learns else {}),
         }
 
     def detect(self, frames: Frames) -> Detections:
@@ -167,27 +180,81 @@ class NetworkDetector:
         found = self.header.calibrated(found, region)
         return found if self._told is None else self._told(found)
 
-    def for_video(self, glimpses: Frames) -> NetworkDetector:
+    def for_video(
+        self, glimpses: Frames, progress: Callable[[int, int | None], None] | None = None
+    ) -> NetworkDetector:
         """This network for one video in which nobody has labelled anything, from frames spread over it.
+
+        Where it learns the actuator, which takes about a minute on two cores, what it has learnt runs in float32
+        beside what it was, whatever the engine.
+
+        Parameters
+        ----------
+        glimpses : (N, H, W, 3) uint8 RGB
+        progress : called with the number of steps done and to be done where the network learns this actuator first
 
         Raises
         ------
         VideoError
             No actuator can be seen.
         """
-        both_ways = replace(self._finder, refine=MirroredReader(self._finder.refine))
-        seen = sight(glimpses, self.header, both_ways, self._closer)
+        refine = MirroredReader(self._finder.refine)
+
+        def taught(glimpses: Frames, examples: Examples, region: WorkingRegion) -> Finder | None:
+            finder = self._taught(glimpses, examples, region, progress)
+            return finder and replace(finder, refine=TemperedReader(finder.refine, refine))
+
+        seen = sight(
+            glimpses,
+            self.header,
+            replace(self._finder, refine=refine),
+            self._closer,
+            taught if self.learns else None,
+        )
         return NetworkDetector(
             self.name,
             seen.header,
             seen.finder,
+            file=self.file,
             sha256=self.sha256,
             engine=self.engine,
             device=self.device,
             workers=self._workers,
             threads=self._threads,
+            learns=self.learns,
             told=seen.believed,
         )
+
+    def _taught(
+        self,
+        glimpses: Frames,
+        examples: Examples,
+        region: WorkingRegion,
+        progress: Callable[[int, int | None], None] | None,
+    ) -> Finder | None:
+        import torch
+
+        from .checkpoint import load_checkpoint
+        from .learning.registration import shipped_features
+        from .learning.self_training import alike, self_trained
+
+        torch.set_num_threads(self._threads)
+        device = torch.device(self.device)
+        right = alike(glimpses, examples, region, shipped_features().to(device))
+        if right.sum() < LEAST_SURE:
+            return None
+        examples = replace(examples, right=right)
+        network = load_checkpoint(self.file).network.to(device)
+        partner, peaks = self.header.partner, self.header.peaks
+        try:
+            network = self_trained(network, glimpses, examples, region, partner, progress)
+        except TrainingError:  # it measures as well as it can without
+            return None
+        if self.engine == TORCH:
+            return network.finder(peaks)
+        from .engine import compiled_networks
+
+        return compiled_networks(network, peaks, self._workers, self._threads)
 
     def _closer(
         self, glimpses: Frames, xy: FloatArray, same: BoolArray, region: WorkingRegion

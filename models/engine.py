@@ -143,7 +143,7 @@ def build(
     engines: dict[str, Any] = {}
     # Without labelled pictures anything will do to see that a plain compilation does what torch does.
     judge = judge or [np.random.default_rng(0).integers(0, 255, (480, 640, 3), dtype=np.uint8)]
-    peaks = {"locator": checkpoint.peaks, "refiner": 1}
+    peaks = _peaks(checkpoint.peaks)
     reference = _found(network.finder(checkpoint.peaks), checkpoint, judge)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -230,6 +230,23 @@ def _converted(network: HeatmapNetwork) -> openvino.Model:
     return openvino.convert_model(
         _AsTuple(network), example_input=example, input=[openvino.PartialShape([-1, 3, -1, -1])]
     )
+
+
+def compiled_networks(network: Cascade, peaks: int, workers: int = 1, threads: int = 1) -> Finder:
+    """Locator and refiner at work on the CPU in float32, without files.
+
+    peaks : as `Finder`'s; `workers` and `threads` are those of `CompiledReader`
+    """
+    network = network.float().cpu().eval()
+    with _in_private():
+        models = [_with_votes(_converted(getattr(network, part)), n) for part, n in _peaks(peaks).items()]
+    locate, refine = (CompiledReader(model, workers, threads) for model in models)
+    return Finder(locate, refine, peaks)
+
+
+def _peaks(offered: int) -> dict[str, int]:
+    """Positions that each part reads for a keypoint: the locator offers so many."""
+    return dict(zip(PARTS, (offered, 1), strict=True))
 
 
 def compiled_aligner(aligner: EndAligner, workers: int = 1, threads: int = 1) -> CompiledAligner:

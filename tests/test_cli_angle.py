@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bendtrack.models.detector import NetworkDetector
+from bendtrack.tracker.errors import VideoError
 from bendtrack.tracker.project import Project
 from bendtrack.tracker.results import read_results
 from bendtrack.tracker.video import Video
@@ -37,6 +39,23 @@ def test_what_comes_with_bendtrack_sees_no_actuator_in_grey(
     assert ran.status == 1
     assert "Network: actuator-resnet18 (resnet18, torch on cpu)" in ran.out
     assert "grey.mp4: expected an actuator" in ran.err
+
+
+def test_it_learns_unless_it_is_to_be_quick(
+    bendtrack, write_arm_video, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    learns: list[bool] = []
+
+    def for_video(detector, glimpses, progress):
+        learns.append(detector.learns)
+        raise VideoError("expected nothing more")
+
+    monkeypatch.setattr(NetworkDetector, "for_video", for_video)
+    asked = "angle", write_arm_video(tmp_path / "a.mp4"), "--engine", "torch", "--out", tmp_path / "out"
+    for options in ((), ("--quick",)):
+        assert bendtrack(*asked, *options).status == 1
+    assert learns == [True, False]
 
 
 def test_without_a_network_there_is_one_line(bendtrack, write_arm_video, tmp_path: Path) -> None:

@@ -126,10 +126,15 @@ def _registered(frames: Sequence[PreparedFrame], xy: FloatArray, features: First
 
 def appearance(seen: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Of what is seen in pictures that show the same, features (N, C, h, w): mean, variance, and weight (C, h, w)."""
-    x, y = _places(seen)
     mean, variance = seen.mean(dim=0), seen.var(dim=0, correction=0)
     variance = variance + ALWAYS * seen.var(dim=(0, 2, 3), correction=0)[:, None, None] + 1e-9
-    return mean, variance, torch.exp(-(x**2 + y**2) / (2 * WINDOW**2)) / variance
+    return mean, variance, window(seen) / variance
+
+
+def window(seen: Tensor) -> Tensor:
+    """How much places of features (N, C, h, w) count, (h, w), by how far they lie from an end's middle."""
+    x, y = _places(seen)
+    return torch.exp(-(x**2 + y**2) / (2 * WINDOW**2))
 
 
 def _places(seen: Tensor) -> tuple[Tensor, Tensor]:

@@ -27,16 +27,17 @@ from ..cascade import Cascade
 from ..checkpoint import Checkpoint, best_device
 from ..evaluation import frame_id
 from ..finding.calibration import calibrate
-from ..finding.finder import LOCATOR_MULTIPLE, joined
+from ..finding.finder import joined
 from ..finding.label_offset import with_offset
 from ..finding.mirrored import MirroredReader
-from ..finding.regions import LOCATOR_SIDE, partner_lengths, partners, working_regions
+from ..finding.regions import partner_lengths, partners, working_regions
 from .alignment import learn_alignment
 from .consensus import label_offset, without_noise
-from .dataset import Batch, locator_batch, prepare, read_image, refiner_batch
+from .dataset import Batch, prepare, read_image
 from .held_out import split
 from .inheritance import counterparts, inherit, parent_of
 from .initialisation import load_backbone, resolve_init, starting_weights
+from .lessons import Lessons, crop_wh
 from .pair import Pair
 from .registration import registered, shipped_features
 from .rendered import rendered_frames
@@ -50,14 +51,9 @@ EVALUATE_EVERY = 50
 CONSENSUS_FROM = 0.3
 """Share of the steps after which positions follow the averaged network: before, it knows less than a click."""
 
-REHEARSED, REHEARSED_AT_ONCE = 160, 2
-"""Rendered frames that a network which knows actuators is shown again, and how many of them beside each batch's own:
-what it knows of them in other light and before other backgrounds must not be lost on thirty frames of one room."""
-
-REFINER_BATCHES = 2
-LOCATOR_SHARE = 0.75
-"""Batches that the refiner learns from in a step, and the part of one that the locator sees: both then take the same
-time, and it is the refiner that decides how exact positions are."""
+REHEARSED = 160
+"""Rendered frames that a network which knows actuators is shown again: what it knows of them in other light and before
+other backgrounds must not be lost on thirty frames of one room."""
 
 
 @dataclass(frozen=True)
@@ -190,7 +186,7 @@ class _Trainer:
         regions = {region.frame_wh: region for region in self.regions}
         self.partner = tuple(partners(labels))
         knows_them = self.start == "actuator" and counterparts(self.keypoints, KEYPOINTS)
-        self.rehearsed = (
+        rehearsed = (
             rendered_frames(self.settings.seed, range(REHEARSED), self.keypoints) if knows_them else []
         )
         # Not those of the network that learns: they would come to agree with its own errors.
@@ -204,8 +200,9 @@ class _Trainer:
         self.targets = labels.copy()
         # Pictures are kept for evaluation at the scales that detection cuts itself.
         self.pictures = pictures
-        widest = [max(r.locator_view(LOCATOR_MULTIPLE).size_wh[i] for r in self.regions) for i in (0, 1)]
-        self.crop_wh = (min(widest[0], LOCATOR_SIDE), min(widest[1], LOCATOR_SIDE))
+        self.lessons = Lessons(
+            rehearsed, crop_wh(self.regions), self.partner, self.settings.batch_frames, self.settings.seed
+        )
 
     @property
     def state_file(self) -> Path:
@@ -251,25 +248,9 @@ class _Trainer:
 
     def _batches(self, step: int) -> tuple[Batch, list[Batch]]:
         """What the locator and the refiner learn from in a step."""
-        drawn: list[Batch] = []
-        for turn in range(REFINER_BATCHES):
-            rng = np.random.default_rng([self.settings.seed, 2, step, turn])
-            n = len(self.trained)
-            count = self.settings.batch_frames
-            # Every frame as often as any other: a permutation, again when a step needs more than there are.
-            order = np.concatenate([rng.permutation(n) for _ in range(math.ceil(count / n))])[:count]
-            chosen = [self.trained[i] for i in order]
-            frames = {i: replace(self.prepared[i], xy=self.targets[i]) for i in set(chosen)}
-            again: list[int] = []
-            if self.rehearsed:
-                first = len(self.prepared)
-                again = (first + rng.choice(len(self.rehearsed), REHEARSED_AT_ONCE)).tolist()
-                frames |= {i: self.rehearsed[i - first] for i in again}
-            if turn == 0:
-                some = chosen[: math.ceil(LOCATOR_SHARE * count)]
-                locate = locator_batch(frames, some + again, self.crop_wh, rng)
-            drawn.append(refiner_batch(frames, chosen + again, self.partner, rng))
-        return locate, drawn
+        return self.lessons.batches(
+            step, {i: replace(self.prepared[i], xy=self.targets[i]) for i in self.trained}
+        )
 
     @property
     def _learning_rate(self) -> float:

@@ -16,7 +16,7 @@ from bendtrack.models.cascade import Cascade
 from bendtrack.models.checkpoint import Checkpoint, load_checkpoint
 from bendtrack.models.compiled import RECORD, engine_folder, engine_record
 from bendtrack.models.detector import NetworkDetector
-from bendtrack.models.engine import MAX_DRIFT_PX, build
+from bendtrack.models.engine import MAX_DRIFT_PX, build, compiled_networks
 from bendtrack.models.finding.calibration import Calibration
 from bendtrack.models.finding.regions import WorkingRegion
 from bendtrack.tracker.angle import AngleDefinition
@@ -65,6 +65,15 @@ def test_compiled_float32_finds_what_torch_finds(untrained: Path) -> None:
     np.testing.assert_allclose(one.xy, other.xy, atol=2e-3)
     np.testing.assert_allclose(one.likelihood, other.likelihood, atol=1e-4)
     np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-2, atol=1e-4)
+
+
+def test_networks_compiled_without_files_find_what_torch_finds(untrained: Path) -> None:
+    checkpoint = load_checkpoint(untrained)
+    asked = np.stack(frames(4, seed=1)), checkpoint.regions[0], checkpoint.partner
+    wanted = checkpoint.network.finder(peaks=2).detect(*asked)
+    found = compiled_networks(checkpoint.network, 2, workers=2, threads=2).detect(*asked)
+    assert np.linalg.norm(found.xy - wanted.xy, axis=2).max() < MAX_DRIFT_PX
+    np.testing.assert_allclose(found.likelihood, wanted.likelihood, atol=1e-3)
 
 
 def test_a_compiled_aligner_moves_ends_as_torch_does(untrained: Path, tmp_path: Path) -> None:

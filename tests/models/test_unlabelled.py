@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from bendtrack.models.aligner import TorchAligner
+from bendtrack.models.checkpoint import load_checkpoint
 from bendtrack.models.detector import NetworkDetector
-from bendtrack.models.engine import compiled_aligner
+from bendtrack.models.engine import build, compiled_aligner
+from bendtrack.models.finding.header import WEIGHTS_FILE
 from bendtrack.models.finding.patches import cut_end, moved_ends
 from bendtrack.models.finding.regions import patch_directions, working_regions
 from bendtrack.models.finding.views import stacked
-from bendtrack.models.shipped import shipped_network
+from bendtrack.models.learning import self_training
+from bendtrack.models.shipped import shipped_network, working_copy
 from bendtrack.models.unlabelled import closer_look
 from bendtrack.tracker.angle import bending_angle
 from bendtrack.tracker.synthetic.stream import KEYPOINTS, TRAINING, Stage, drawn_look, inflation_deg
+from bendtrack.tracker.video import file_sha256
 
 FRAMES = 32
 SIZE_WH = (400, 300)
@@ -82,3 +87,32 @@ def test_what_comes_with_bendtrack_measures_an_actuator_without_labels(film) -> 
     angle, _, _ = bending_angle(found.xy, known.keypoints, known.header.definition)
     error = np.abs(angle) - np.abs(angle_deg[::4])
     assert np.sqrt(np.mean(error**2)) < 1.0
+
+
+def test_where_it_is_not_sure_everywhere_it_learns_the_actuator_first(
+    film, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Something lies on the tip in every fourth frame."""
+    pictures, truth, _ = film
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    network = working_copy("resnet18") / WEIGHTS_FILE
+    build(load_checkpoint(network), network, file_sha256(network), list(pictures[:2]))
+    hidden = pictures.copy()
+    for picture, (x, y) in zip(hidden[::4], truth[::4, -1].astype(int), strict=True):
+        picture[max(y - 40, 0) : y + 40, max(x - 40, 0) : x + 40] = (60, 110, 60)
+    monkeypatch.setattr(self_training, "REHEARSED", 4)
+    monkeypatch.setattr(self_training, "SETTINGS", replace(self_training.SETTINGS, steps=3))
+    steps: list[tuple[int, int | None]] = []
+    for engine, learns in (("torch", False), ("openvino", True)):
+        steps.clear()
+        detector = NetworkDetector.load(network, engine=engine, learns=learns)
+        known = detector.for_video(hidden, lambda *done: steps.append(done))
+        assert steps == ([(1, 3), (2, 3), (3, 3)] if learns else [])
+        assert known.provenance == detector.provenance
+        assert ("learns" in known.provenance) == learns
+        # Three steps teach little: only that what was learnt is put to work.
+        found = known.detect(hidden[1::4])
+        assert np.median(np.linalg.norm(found.xy[:, -1] - truth[1::4, -1], axis=1)) < 3
+    steps.clear()
+    detector.for_video(pictures, lambda *done: steps.append(done))
+    assert steps == []

@@ -30,6 +30,7 @@ def load_network(
     threads: int | None = None,
     *,
     soonest: bool = False,
+    learns: bool = False,
 ) -> NetworkDetector:
     """A network ready to track with; compiled first where that was not done yet and can be.
 
@@ -48,7 +49,9 @@ def load_network(
     on_cpu = device == "cpu" or engine in ENGINES or not NetworkDetector.gpu_is_likely()
     if on_cpu and engine != "torch" and engine_record(file, file_sha256(file)) is None:
         _compile(folder)
-    return NetworkDetector.load(folder, engine=engine, device=device, threads=threads, soonest=soonest)
+    return NetworkDetector.load(
+        folder, engine=engine, device=device, threads=threads, soonest=soonest, learns=learns
+    )
 
 
 def measured_angle(project: Project, network: NetworkDetector) -> AngleDefinition:

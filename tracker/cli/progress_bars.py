@@ -23,6 +23,19 @@ class _Rate(ProgressColumn):
         return Text(f"{task.speed:.1f}/s" if task.speed else "")
 
 
+class _Count(ProgressColumn):
+    """How many of how many; nothing before the first."""
+
+    def __init__(self, unit: str) -> None:
+        super().__init__()
+        self._unit = unit
+
+    def render(self, task: Task) -> Text:
+        done = f"{task.completed:.0f}"
+        of = done if task.total is None else f"{done}/{task.total:.0f}"
+        return Text(f"{of} {self._unit}" if task.completed else "")
+
+
 @contextmanager
 def counting(title: str, unit: str = "frames") -> Iterator[Callable[[int, int | None], None]]:
     """Yields what is to be called with the number done and the number in all (None: not known)."""
@@ -32,7 +45,7 @@ def counting(title: str, unit: str = "frames") -> Iterator[Callable[[int, int | 
     columns = (
         TextColumn("{task.description}", markup=False),
         BarColumn(),
-        TextColumn(f"{{task.completed}}/{{task.total}} {unit}"),
+        _Count(unit),
         _Rate(),
         TimeRemainingColumn(),
     )

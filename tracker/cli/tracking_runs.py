@@ -179,14 +179,15 @@ def _track_one(job: _Job, video: Path, overlay: bool, force: bool) -> str | None
         table = read_results(job.folder / f"{stem}.h5")
         talk.say(f"{video}: up to date")
     else:
-        begun = time.monotonic()
         detector, definition = job.detector, job.definition
         if definition is None:
             job.wait_for_figure()  # a network is converted meanwhile, which keeps the whole process quiet
-            detector = detector.for_video(spread_frames(video, GLIMPSES))
+            with progress_bars.counting(f"{video.name}: finding the actuator", "steps") as progress:
+                detector = detector.for_video(spread_frames(video, GLIMPSES), progress)
             definition = detector.header.definition
         # Nobody said where the actuator is: what a frame says is held against those beside it.
         steady = job.definition is None
+        begun = time.monotonic()
         with progress_bars.counting(video.name) as progress:
             table = track(
                 video,

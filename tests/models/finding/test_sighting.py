@@ -11,9 +11,11 @@ import pytest
 from bendtrack.models.finding.assembly import assembled
 from bendtrack.models.finding.calibration import Calibration
 from bendtrack.models.finding.finder import Finder
+from bendtrack.models.finding.glimpses import Examples, oriented
 from bendtrack.models.finding.header import Header
+from bendtrack.models.finding.held import HeldFinder
 from bendtrack.models.finding.regions import WorkingRegion
-from bendtrack.models.finding.sighting import oriented, sight
+from bendtrack.models.finding.sighting import ACROSS_SHARE, sight
 from bendtrack.tracker.angle import AngleDefinition, bending_angle
 from bendtrack.tracker.errors import VideoError
 from bendtrack.tracker.types import Detections
@@ -391,3 +393,138 @@ def test_the_moving_end_keeps_about_its_length() -> None:
         [True] * 4,
         [True, True, False, False],
     ]
+
+
+def lost_in_every_third() -> tuple[np.ndarray, np.ndarray]:
+    """Positions (30, 4, 2) and peaks (30, 4): in every third frame the tip is hardly seen, and somewhere else."""
+    xy, peak = arms(), np.full((30, 4), 0.6)
+    xy[::3, 3] -= 150.0
+    peak[::3, 2:] = 0.1
+    return xy, peak
+
+
+@pytest.fixture
+def in_frames(monkeypatch: pytest.MonkeyPatch):
+    """Sights with an oracle that finds the same in frames once it is known where the actuator is held."""
+
+    def sighted(oracle: Oracle, taught=None, header: Header = HEADER):
+        monkeypatch.setattr(HeldFinder, "detect", lambda _, *asked: oracle.detect(*asked))
+        return sight(glimpses(30), header, oracle, taught=taught)
+
+    return sighted
+
+
+def test_a_network_that_is_not_sure_everywhere_learns_from_where_it_is_and_looks_again(in_frames) -> None:
+    unsure = Oracle(*lost_in_every_third(), noise_px=0.0)
+    asked: list[Examples] = []
+
+    def taught(glimpses, examples, region):
+        asked.append(examples)
+        return Oracle(arms(), np.full((30, 4), 0.6), noise_px=0.0)
+
+    assert in_frames(unsure).seen == pytest.approx(2 / 3)
+    assert in_frames(unsure, taught).seen == 1.0
+    (examples,) = asked
+    np.testing.assert_array_equal(examples.right, np.arange(30) % 3 > 0)
+    np.testing.assert_array_equal(examples.wrong, np.tile(np.arange(30)[:, None] % 3 == 0, 2))
+    np.testing.assert_allclose(examples.xy[examples.right], arms()[examples.right], atol=1e-6)
+
+
+def test_too_few_of_one_shape_are_refused_and_not_learnt(in_frames) -> None:
+    """Half of the glimpses show another shape: what the others show may be something else too."""
+
+    def taught(glimpses, examples, region):
+        raise AssertionError
+
+    with pytest.raises(VideoError, match="keeps its shape"):
+        in_frames(half_of_another_shape(), taught)
+
+
+def half_of_another_shape() -> Oracle:
+    xy = arms()
+    xy[::2, 3] += 3 * (xy[::2, 3] - xy[::2, 2])
+    return Oracle(xy, np.full((30, 4), 0.6), noise_px=0.0)
+
+
+@pytest.mark.parametrize("worse", [None, half_of_another_shape(), Oracle(arms(), np.zeros((30, 4)))])
+def test_what_was_learnt_and_shows_less_than_before_is_forgotten(in_frames, worse: Oracle | None) -> None:
+    unsure = Oracle(*lost_in_every_third(), noise_px=0.0)
+    seen = in_frames(unsure, lambda *_: worse)
+    assert seen.seen == pytest.approx(2 / 3)
+    assert seen.finder.locate is unsure
+
+
+def test_of_what_is_hidden_nothing_is_learnt_and_a_tip_is_no_worse_for_a_hidden_base(in_frames) -> None:
+    asked: list[Examples] = []
+
+    def taught(glimpses, examples, region):
+        asked.append(examples)
+
+    xy, peak = lost_in_every_third()
+    peak[1::3, 0] = 0.2
+    in_frames(Oracle(xy, peak, noise_px=0.0), taught)
+    (examples,) = asked
+    assert examples.right[1::3].all()
+    np.testing.assert_array_equal(np.isnan(examples.xy[:, 0, 0]), np.arange(30) % 3 == 1)
+    assert not np.isnan(examples.xy[:, 2:]).any()
+    assert not examples.wrong[1::3].any()
+
+
+def test_what_is_sure_everywhere_or_hardly_anywhere_or_learnt_from_labels_is_not_taught(in_frames) -> None:
+    def taught(glimpses, examples, region):
+        raise AssertionError
+
+    in_frames(Oracle(arms(), np.full((30, 4), 0.6)), taught)
+    few = np.full((30, 4), 0.6)
+    few[:23, 3] = 0.1
+    in_frames(Oracle(arms(), few), taught)
+    in_frames(Oracle(*lost_in_every_third()), taught, replace(HEADER, training={}))
+
+
+def test_a_moving_end_that_both_networks_see_in_other_places_is_taken_for_something_else(in_frames) -> None:
+    asked: list[Examples] = []
+
+    class Torn(Oracle):
+        def refined(self, frames, xy, region, partner):
+            found = super().refined(frames, xy, region, partner)
+            off = np.array([int(frame[0, 0, 0]) < 10 for frame in frames]) * 40.0 / region.refiner_scale
+            found.xy[:, 3, 1] += off
+            return found
+
+    def taught(glimpses, examples, region):
+        asked.append(examples)
+        return Oracle(arms(), np.full((30, 4), 0.6))
+
+    in_frames(Torn(arms(), np.full((30, 4), 0.6), noise_px=0.0), taught)
+    first = np.arange(30) < 10
+    np.testing.assert_array_equal(asked[0].right, ~first)
+    np.testing.assert_array_equal(asked[0].wrong, np.stack([np.zeros(30, bool), first], axis=1))
+
+
+def test_ends_seen_closer_are_surer_across_than_the_network_says(in_frames) -> None:
+    """It knows neither a closer look nor sides; where there is none, or labels taught it, what it says is left."""
+    truth = arms()
+    wide = Detections(truth, np.full((30, 4), 0.9), np.tile(4.0 * np.eye(2), (30, 4, 1, 1)))
+    oracle = Oracle(truth, np.full((30, 4), 0.6), noise_px=0.0)
+
+    class Aligned:
+        ends = ((2, 3),)
+
+        def __call__(self, pictures):
+            return np.zeros((len(pictures), 1, 3))
+
+    learnt = replace(HEADER, training={})
+    for header, align, share in (
+        (HEADER, Aligned(), ACROSS_SHARE),
+        (HEADER, None, 1),
+        (learnt, Aligned(), 1),
+    ):
+        seen = sight(drawn(truth), header, oracle, lambda g, xy, s, r, align=align: (xy, align))
+        found = seen.believed(wide)
+        along = np.diff(found.xy[:, 2:], axis=1)[:, 0]
+        along /= np.linalg.norm(along, axis=1, keepdims=True)
+        across = along[:, ::-1] * (-1, 1)
+        for direction, variance in ((along, 4.0), (across, 4.0 * share**2)):
+            for k in (2, 3):
+                own = np.einsum("ni,nij,nj->n", direction, found.covariance[:, k], direction)
+                np.testing.assert_allclose(own, variance, rtol=1e-6)

@@ -18,7 +18,7 @@ from safetensors.torch import load_file
 from bendtrack.models.checkpoint import load_checkpoint
 from bendtrack.models.detector import NetworkDetector
 from bendtrack.models.evaluation import evaluate, not_trained_on
-from bendtrack.models.learning import training
+from bendtrack.models.learning import lessons, training
 from bendtrack.models.learning.held_out import split
 from bendtrack.models.learning.rendered import rendered_frames
 from bendtrack.models.learning.settings import TrainingSettings
@@ -144,7 +144,7 @@ def test_what_a_network_knew_of_other_actuators_it_keeps(
 
     def px_off(at_once: int) -> float:
         """How far the refiner is off on rendered actuators that neither training has seen, median."""
-        monkeypatch.setattr(training, "REHEARSED_AT_ONCE", at_once)
+        monkeypatch.setattr(lessons, "REHEARSED_AT_ONCE", at_once)
         checkpoint = train(frames, KEYPOINTS, definition, tmp_path / str(at_once), settings)
         finder = checkpoint.network.finder()
         found = [finder.refined(f.fine[None], f.xy[None], f.region, checkpoint.partner) for f in others]
