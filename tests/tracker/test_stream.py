@@ -329,3 +329,105 @@ def test_bodies_are_of_the_sizes_that_were_asked_for(drawn):
     assert min(share) > 0.12
     assert max(share) < 1.1
     assert np.percentile(share, 90) > 0.6
+
+
+def middle_of_the_dark(sample):
+    weight = np.clip((darkness(sample) - 0.3) / 0.4, 0, 1)
+    y, x = np.indices(weight.shape)
+    return np.array([(weight * x).sum(), (weight * y).sum()]) / weight.sum()
+
+
+@pytest.mark.parametrize(
+    "does",
+    [
+        {"blur_px": 1.5},
+        {"motion_px": 5.0, "motion_deg": 30.0},
+        {"sharpening": 0.8},
+        {"noise": 3.0, "noise_cell": 1.0},
+        {"jpeg_quality": 20},
+        {"shrink": 2.0},
+    ],
+    ids=lambda does: next(iter(does)),
+)
+def test_what_the_camera_does_leaves_everything_where_it_is(does):
+    look = stark(drawn_look(7, families=EVEN, bend_deg=(0, 90), size_wh=(400, 300)))
+    plain = Stage(look).frame(60.0)
+    worse = Stage(dc.replace(look, sensor=dc.replace(look.sensor, **does))).frame(60.0)
+    assert (plain.picture != worse.picture).any()
+    assert np.linalg.norm(middle_of_the_dark(worse) - middle_of_the_dark(plain)) < 0.15
+    np.testing.assert_array_equal(worse.keypoints_xy, plain.keypoints_xy)
+
+
+@pytest.mark.parametrize("kind", ["grey", "infrared"])
+def test_a_camera_without_colours_shows_none(kind):
+    look = drawn_look(4, families=TRAINING)
+    seen = Stage(dc.replace(look, sensor=dc.replace(clear(look), kind=kind))).frame(60.0).picture
+    assert np.ptp(seen.astype(int), axis=2).max() == 0
+    assert (
+        np.ptp(Stage(dc.replace(look, sensor=clear(look))).frame(60.0).picture.astype(int), axis=2).max() > 0
+    )
+
+
+@pytest.mark.parametrize(
+    ("part", "changed"),
+    [
+        ("body", {"layer": 0.25}),
+        ("body", {"windings": 12, "slant": 0.4, "crossed": True}),
+        ("body", {"cap": "cap", "cap_share": 0.15}),
+        ("body", {"cap": "tape", "cap_share": 0.15}),
+        ("surface", {"gloss": 0.8, "shininess": 8.0}),
+        ("surface", {"opacity": 0.5}),
+        ("surface", {"pattern": "weave", "grain": 0.2}),
+        ("scene", {"tube_px": 9.0, "tube_colour": (0.8, 0.1, 0.1)}),
+        ("light", {"shadow": 0.7, "shadow_px": 14.0, "softness_px": 1.0}),
+        ("light", {"tint": (1.1, 1.0, 0.7)}),
+        ("light", {"gain": 0.5}),
+    ],
+    ids=lambda value: value if isinstance(value, str) else next(iter(value)),
+)
+def test_what_a_body_is_made_of_and_how_it_is_lit_is_seen_and_moves_no_keypoint(part, changed):
+    look = stark(drawn_look(4, families=EVEN, bend_deg=(0, 90), size_wh=(400, 300)))
+    look = dc.replace(look, surface=dc.replace(look.surface, colour=(0.4, 0.4, 0.4)))
+    other = dc.replace(look, **{part: dc.replace(getattr(look, part), **changed)})
+    plain, seen = Stage(look).frame(60.0), Stage(other).frame(60.0)
+    assert (np.abs(seen.picture.astype(int) - plain.picture).max(axis=2) > 8).mean() > 5e-4
+    np.testing.assert_array_equal(seen.keypoints_xy, plain.keypoints_xy)
+
+
+def test_a_stream_has_something_of_everything():
+    looks = [draw(3, index).look for index in range(300)]
+
+    def share(holds):
+        return np.mean([holds(look) for look in looks])
+
+    for often, holds in {
+        "two arms": lambda look: look.place.second_arm is not None,
+        "a strain layer": lambda look: look.body.layer > 0,
+        "none": lambda look: look.body.layer == 0,
+        "windings": lambda look: look.body.windings > 0,
+        "uneven chambers": lambda look: look.body.swell > 0 and look.body.uneven > 0,
+        "a cap": lambda look: look.body.cap == "cap",
+        "tape": lambda look: look.body.cap == "tape",
+        "an S": lambda look: abs(look.body.s_turn_deg) > 20,
+        "curvature in one place": lambda look: look.body.focus > 1,
+        "curvature nearly everywhere alike": lambda look: look.body.focus < 0.3,
+        "a tube": lambda look: look.scene.tube_px > 0,
+        "something in the way": lambda look: look.scene.occluders > 0,
+        "much lying about": lambda look: look.scene.things > 3,
+        "hard shadow": lambda look: look.light.shadow > 0.2 and look.light.softness_px < 3,
+        "soft shadow": lambda look: look.light.shadow > 0.2 and look.light.softness_px > 6,
+        "a colour cast": lambda look: np.ptp(look.light.tint) > 0.1,
+        "too dark": lambda look: look.light.gain < 0.85,
+        "motion": lambda look: look.sensor.motion_px > 1,
+        "out of focus": lambda look: look.sensor.blur_px > 1,
+        "coded": lambda look: 0 < look.sensor.jpeg_quality < 60,
+        "grey": lambda look: look.sensor.kind == "grey",
+        "infrared": lambda look: look.sensor.kind == "infrared",
+        "tilted": lambda look: abs(look.view.tilt_x_deg) > 10,
+        "a bending lens": lambda look: abs(look.view.lens) > 0.02,
+    }.items():
+        assert share(holds) > 0.02, often
+    directions = np.array([look.place.direction_deg for look in looks]) % 360
+    assert (np.histogram(directions, 8, (0, 360))[0] > 20).all()
+    thickness = np.array([look.body.length_px / look.body.half_px for look in looks]) / 2
+    assert thickness.max() > 3 * thickness.min()
