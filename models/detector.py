@@ -14,18 +14,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ..tracker.errors import CheckpointError, TrainingError
-from ..tracker.types import BoolArray, Detections, FloatArray, Frames
+from ..tracker.errors import CheckpointError
+from ..tracker.types import Detections, Frames
 from ..tracker.video import file_sha256
 from .compiled import ENGINES, compiled_finder, engine_record
-from .finding.finder import Aligner, Finder
+from .finding.finder import Finder
 from .finding.following import Follower
-from .finding.glimpses import Examples
 from .finding.header import Header, read_header, weights_file
 from .finding.mirrored import MirroredReader
 from .finding.regions import WorkingRegion
-from .finding.sighting import LEAST_SURE, sight
-from .finding.tempered import TemperedReader
+from .finding.sighting import sight
 
 TORCH = "torch"
 CHOICES = ("auto", *ENGINES, TORCH)
@@ -198,19 +196,23 @@ class NetworkDetector:
         VideoError
             No actuator can be seen.
         """
-        refine = MirroredReader(self._finder.refine)
+        both_ways = replace(self._finder, refine=MirroredReader(self._finder.refine))
+        closer = taught = None
+        if self.header.pretrained:
+            from .unlabelled import Unlabelled
 
-        def taught(glimpses: Frames, examples: Examples, region: WorkingRegion) -> Finder | None:
-            finder = self._taught(glimpses, examples, region, progress)
-            return finder and replace(finder, refine=TemperedReader(finder.refine, refine))
-
-        seen = sight(
-            glimpses,
-            self.header,
-            replace(self._finder, refine=refine),
-            self._closer,
-            taught if self.learns else None,
-        )
+            own = Unlabelled(
+                file=self.file,
+                header=self.header,
+                before=both_ways,
+                device=self.device,
+                compiled=self.engine != TORCH,
+                workers=self._workers,
+                threads=self._threads,
+                progress=progress,
+            )
+            closer, taught = own.closer, own.taught if self.learns else None
+        seen = sight(glimpses, self.header, both_ways, closer, taught)
         return NetworkDetector(
             self.name,
             seen.header,
@@ -224,54 +226,6 @@ class NetworkDetector:
             learns=self.learns,
             told=seen.believed,
         )
-
-    def _taught(
-        self,
-        glimpses: Frames,
-        examples: Examples,
-        region: WorkingRegion,
-        progress: Callable[[int, int | None], None] | None,
-    ) -> Finder | None:
-        import torch
-
-        from .checkpoint import load_checkpoint
-        from .learning.registration import shipped_features
-        from .learning.self_training import alike, self_trained
-
-        torch.set_num_threads(self._threads)
-        device = torch.device(self.device)
-        right = alike(glimpses, examples, region, shipped_features().to(device))
-        if right.sum() < LEAST_SURE:
-            return None
-        examples = replace(examples, right=right)
-        network = load_checkpoint(self.file).network.to(device)
-        partner, peaks = self.header.partner, self.header.peaks
-        try:
-            network = self_trained(network, glimpses, examples, region, partner, progress)
-        except TrainingError:  # it measures as well as it can without
-            return None
-        if self.engine == TORCH:
-            return network.finder(peaks)
-        from .engine import compiled_networks
-
-        return compiled_networks(network, peaks, self._workers, self._threads)
-
-    def _closer(
-        self, glimpses: Frames, xy: FloatArray, same: BoolArray, region: WorkingRegion
-    ) -> tuple[FloatArray, Aligner | None]:
-        import torch
-
-        from .aligner import TorchAligner
-        from .engine import compiled_aligner
-        from .unlabelled import closer_look
-
-        torch.set_num_threads(self._threads)
-        better, aligner = closer_look(glimpses, xy, same, region, self.header.partner, self.device)
-        if aligner is None:
-            return better, None
-        if self.engine == TORCH:
-            return better, TorchAligner(aligner)
-        return better, compiled_aligner(aligner, self._workers, self._threads)
 
     @property
     def workers(self) -> int:

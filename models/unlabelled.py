@@ -1,25 +1,91 @@
-"""A closer look at the moving end of an actuator that nobody has labelled.
+"""What is learnt of an actuator that nobody has labelled, from frames spread over its video, and put to work.
 
-What is seen of it in frames spread over a video is laid over each other (`learning.registration`), and from there it is
-learnt how it lies in closer pictures (`learning.alignment`), as in a training; only that no label says where it lies
-on average.
+Where the network is not sure of it everywhere, it learns it (`learning.self_training`). What is seen of the moving end
+is laid over each other (`learning.registration`), and from there it is learnt how it lies in closer pictures
+(`learning.alignment`), as in a training; only that no label says where it lies on average.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
+import torch
 
+from ..tracker.errors import TrainingError
 from ..tracker.types import BoolArray, FloatArray, Frames
-from .aligner import EndAligner
+from .aligner import EndAligner, TorchAligner
+from .checkpoint import load_checkpoint
+from .engine import compiled_aligner, compiled_networks
+from .finding.finder import Aligner, Finder
+from .finding.glimpses import Examples
+from .finding.header import Header
 from .finding.regions import WorkingRegion
+from .finding.sighting import LEAST_SURE
+from .finding.tempered import TemperedReader
 from .learning.alignment import learn_alignment
 from .learning.dataset import prepare
 from .learning.registration import registered, shipped_features
+from .learning.self_training import alike, self_trained
 
 SEED = 0
 """The same video is measured the same way again."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unlabelled:
+    """Learns a video's actuator for a pretrained network, as `finding.sighting.sight` asks for it.
+
+    Attributes
+    ----------
+    file, header : the network's checkpoint, and what it means
+    before : the network at work before it has learnt anything
+    device : where torch computes
+    compiled : whether what is learnt is compiled for the CPU, or runs in torch
+    workers, threads : as `compiled.CompiledReader`'s
+    progress : called with the number of steps of a self-training done and to be done
+    """
+
+    file: Path
+    header: Header
+    before: Finder
+    device: str
+    compiled: bool
+    workers: int
+    threads: int
+    progress: Callable[[int, int | None], None] | None
+
+    def taught(self, glimpses: Frames, examples: Examples, region: WorkingRegion) -> Finder | None:
+        """A finder that has learnt the actuator, held back by what it was; None where there is too little to learn."""
+        torch.set_num_threads(self.threads)
+        right = alike(glimpses, examples, region, shipped_features().to(self.device))
+        if right.sum() < LEAST_SURE:
+            return None
+        examples = replace(examples, right=right)
+        network = load_checkpoint(self.file).network.to(torch.device(self.device))
+        try:
+            network = self_trained(network, glimpses, examples, region, self.header.partner, self.progress)
+        except TrainingError:  # it measures as well as it can without
+            return None
+        if self.compiled:
+            finder = compiled_networks(network, self.header.peaks, self.workers, self.threads)
+        else:
+            finder = network.finder(self.header.peaks)
+        return replace(finder, refine=TemperedReader(finder.refine, self.before.refine))
+
+    def closer(
+        self, glimpses: Frames, xy: FloatArray, same: BoolArray, region: WorkingRegion
+    ) -> tuple[FloatArray, Aligner | None]:
+        """`closer_look`, with an aligner at work."""
+        torch.set_num_threads(self.threads)
+        better, aligner = closer_look(glimpses, xy, same, region, self.header.partner, self.device)
+        if aligner is None:
+            return better, None
+        if self.compiled:
+            return better, compiled_aligner(aligner, self.workers, self.threads)
+        return better, TorchAligner(aligner)
 
 
 def closer_look(

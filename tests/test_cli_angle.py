@@ -11,6 +11,7 @@ from bendtrack.models.detector import NetworkDetector
 from bendtrack.tracker.errors import VideoError
 from bendtrack.tracker.project import Project
 from bendtrack.tracker.results import read_results
+from bendtrack.tracker.synthetic.stream import KEYPOINTS, TRAINING, Stage, drawn_look, inflation_deg
 from bendtrack.tracker.video import Video
 from bendtrack.tracker.video_writer import VideoWriter
 
@@ -56,6 +57,29 @@ def test_it_learns_unless_it_is_to_be_quick(
     for options in ((), ("--quick",)):
         assert bendtrack(*asked, *options).status == 1
     assert learns == [True, False]
+
+
+@pytest.mark.slow
+def test_what_comes_with_bendtrack_measures_an_actuator_that_nobody_labelled(
+    bendtrack, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With the points along its midline in the table."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    look = drawn_look(21, 3, size_wh=(400, 300), families=TRAINING, bend_deg=(0.0, 150.0))
+    stage, truth_deg = Stage(look), []
+    with VideoWriter(tmp_path / "film.mp4", (400, 300), frame_rate=30) as writer:
+        for index, bend in enumerate(inflation_deg(look, 36)):
+            sample = stage.frame(float(bend), noise_seed=index)
+            writer.write(sample.picture)
+            truth_deg.append(sample.angle_deg)
+    asked = "angle", tmp_path / "film.mp4", "--engine", "torch", "--quick", "--out", tmp_path / "out"
+    assert bendtrack(*asked).status == 0
+    table = read_results(tmp_path / "out" / "film.h5")
+    assert (table.flag == "").mean() > 0.95
+    assert np.sqrt(np.mean((table.angle_deg - truth_deg) ** 2)) < 3
+    header = (tmp_path / "out" / "film.csv").read_text().splitlines()[0]
+    assert all(f"{name}_x" in header for name in KEYPOINTS)
+    assert "up to date" in bendtrack(*asked).out
 
 
 def test_without_a_network_there_is_one_line(bendtrack, write_arm_video, tmp_path: Path) -> None:

@@ -93,8 +93,7 @@ def sight(
     glimpses : (N, H, W, 3) uint8 RGB, of one size
     header, finder : of a network whose keypoints are a chain from the fixed end to the moving one
     closer : looks closer at the moving end (`models.unlabelled`); None leaves that to the finder
-    taught : teaches a network this actuator that is not sure of it everywhere (`learning.self_training`); None leaves
-        it as it is
+    taught : teaches a network this actuator that is not sure of it everywhere (`models.unlabelled`); None does not
 
     Raises
     ------
