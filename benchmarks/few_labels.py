@@ -128,7 +128,7 @@ class Result:
     minutes: float = 0.0
 
 
-NOTHING = Result(float("nan"), 0.0, float("nan"), 0.0, float("nan"))
+NOTHING = Result(float("nan"), 0.0, float("nan"), 0.0, 0.0)
 
 
 def judged(
@@ -145,7 +145,7 @@ def judged(
         (rms(error[some]) if some.any() else float("nan"), float(some.mean())) for some in (known, sound)
     ]
     within = np.abs(error[sound]) <= table.angle_sd_deg[rest][sound]
-    return Result(*figures[0], *figures[1], float(within.mean()) if sound.any() else float("nan"))
+    return Result(*figures[0], *figures[1], float(within.mean()) if sound.any() else 0.0)
 
 
 def judged_unlabelled(film: Film, network: Path) -> Result:
@@ -314,7 +314,7 @@ def draw(path: Path, rows: Mapping[tuple[str, str], Sequence[tuple[Result, float
 
 
 def spread(values: Sequence[float]) -> str:
-    """Median, lowest and highest; what is not known counts as the highest."""
+    """Median, lowest and highest; what is not known counts as the worst."""
     known = np.nan_to_num(values, nan=np.inf)
     return f"{np.median(known):.2f} ({known.min():.2f} to {known.max():.2f})"
 

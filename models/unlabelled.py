@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,7 @@ from .learning.alignment import learn_alignment
 from .learning.dataset import prepare
 from .learning.registration import registered, shipped_features
 from .learning.self_training import alike, self_trained
+from .network import FirstStage
 
 SEED = 0
 """The same video is measured the same way again."""
@@ -57,10 +59,15 @@ class Unlabelled:
     threads: int
     progress: Callable[[int, int | None], None] | None
 
+    @cached_property
+    def features(self) -> FirstStage:
+        """What ends are compared by."""
+        return shipped_features().to(self.device)
+
     def taught(self, glimpses: Frames, examples: Examples, region: WorkingRegion) -> Finder | None:
         """A finder that has learnt the actuator, held back by what it was; None where there is too little to learn."""
         torch.set_num_threads(self.threads)
-        right = alike(glimpses, examples, region, shipped_features().to(self.device))
+        right = alike(glimpses, examples, region, self.features)
         if right.sum() < LEAST_SURE:
             return None
         examples = replace(examples, right=right)
@@ -80,7 +87,7 @@ class Unlabelled:
     ) -> tuple[FloatArray, Aligner | None]:
         """`closer_look`, with an aligner at work."""
         torch.set_num_threads(self.threads)
-        better, aligner = closer_look(glimpses, xy, same, region, self.header.partner, self.device)
+        better, aligner = closer_look(glimpses, xy, same, region, self.header.partner, self.features)
         if aligner is None:
             return better, None
         if self.compiled:
@@ -94,7 +101,7 @@ def closer_look(
     same: BoolArray,
     region: WorkingRegion,
     partner: Sequence[int],
-    device: str = "cpu",
+    features: FirstStage,
 ) -> tuple[FloatArray, EndAligner | None]:
     """Positions with the moving end's laid over each other, and what tells how it lies; None where pictures do not.
 
@@ -105,9 +112,8 @@ def closer_look(
     same : (N,) bool, the frames that count; in the others nothing moves
     region : of frames of this size
     partner : from `regions.partners`
-    device : where it is computed, and where the aligner is afterwards
+    features : what ends are compared by; the aligner is afterwards where they are
     """
-    features = shipped_features().to(device)
     rows = np.flatnonzero(same).tolist()
     pictures, regions, video = [glimpses[i] for i in rows], [region] * len(rows), ["glimpses"] * len(rows)
     moving = np.zeros((len(rows), xy.shape[1]), bool)

@@ -141,15 +141,15 @@ class Shown:
         alike = _moving_alike(found.xy, self.fixed_xy, self.body_px, self.end_px)
         likelihood = found.likelihood.copy()
         likelihood[:, MOVING] = np.where(alike[:, None], likelihood[:, MOVING], 0.0)
-        wrong: BoolArray = likelihood < WRONG_END
+        unsure: BoolArray = likelihood < WRONG_END
         # Of what is not sure between the ends, and of a fixed end that is hidden, nothing is said.
-        xy = np.where(wrong[..., None], np.nan, found.xy)
+        xy = np.where(unsure[..., None], np.nan, found.xy)
         xy[:, MOVING] = found.xy[:, MOVING]
         resting = np.median(self.found.xy[self.same, FIXED], axis=0)
-        xy[:, FIXED] = np.where(wrong[:, FIXED, None], np.nan, resting)
+        xy[:, FIXED] = np.where(unsure[:, FIXED, None], np.nan, resting)
         held = _held(found.xy, self.fixed_xy, self.body_px)
         right = self.same & held & (likelihood[:, MOVING].min(axis=1) >= SURE_END)
-        return Examples(xy, np.asarray(right), wrong[:, MOVING])
+        return Examples(xy, np.asarray(right), unsure[:, MOVING])
 
 
 def shown_in(glimpses: Frames, header: Header, finder: Finder) -> Shown:

@@ -17,6 +17,7 @@ from bendtrack.models.finding.patches import cut_end, moved_ends
 from bendtrack.models.finding.regions import patch_directions, working_regions
 from bendtrack.models.finding.views import stacked
 from bendtrack.models.learning import self_training
+from bendtrack.models.learning.registration import shipped_features
 from bendtrack.models.shipped import shipped_network, working_copy
 from bendtrack.models.unlabelled import closer_look
 from bendtrack.tracker.angle import bending_angle
@@ -51,7 +52,9 @@ def test_ends_that_are_found_here_and_there_are_laid_over_each_other_and_told_in
     glimpses, others = slice(0, None, 2), slice(1, None, 2)
     same = np.ones(FRAMES // 2, bool)
     same[5] = False
-    better, aligner = closer_look(pictures[glimpses], found[glimpses], same, region, PARTNER)
+    better, aligner = closer_look(
+        pictures[glimpses], found[glimpses], same, region, PARTNER, shipped_features()
+    )
     before, after = tip_deg(found[glimpses], truth[glimpses]), tip_deg(better, truth[glimpses])
     assert after[same].std() < 0.5 * before[same].std()
     np.testing.assert_array_equal(better[5], found[glimpses][5])
@@ -72,7 +75,7 @@ def test_pictures_that_tell_nothing_teach_nothing(film) -> None:
     (region,) = working_regions(truth, [SIZE_WH] * FRAMES)
     noise = np.random.default_rng(1).integers(0, 255, (FRAMES, SIZE_WH[1], SIZE_WH[0], 3), dtype=np.uint8)
     found = truth + np.random.default_rng(0).normal(0, 0.8, truth.shape)
-    assert closer_look(noise, found, np.ones(FRAMES, bool), region, PARTNER)[1] is None
+    assert closer_look(noise, found, np.ones(FRAMES, bool), region, PARTNER, shipped_features())[1] is None
 
 
 def test_what_comes_with_bendtrack_measures_an_actuator_without_labels(film) -> None:
