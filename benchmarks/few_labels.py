@@ -73,13 +73,13 @@ class Film:
 
 
 def filmed(path: Path, look: Look, frames: int) -> Film:
-    """A slow inflation of a look, encoded."""
+    """A slow inflation of a look, encoded; its exposure drifts where the look's does."""
     stage = Stage(look)
     ends = [KEYPOINTS.index(name) for name in ENDS]
     xy, angle_deg, seen = [], [], []
     with VideoWriter(path, SIZE_WH, frame_rate=30) as writer:
         for index, bend in enumerate(inflation_deg(look, frames)):
-            sample = stage.frame(float(bend), noise_seed=index)
+            sample = stage.frame(float(bend), noise_seed=index, moment=index / frames)
             writer.write(sample.picture)
             xy.append(sample.keypoints_xy[ends])
             angle_deg.append(sample.angle_deg)

@@ -18,6 +18,8 @@ from bendtrack.tracker.synthetic.stream import (
     in_other_light,
     inflation_deg,
 )
+from bendtrack.tracker.synthetic.stream.chain import Projection, opposite
+from bendtrack.tracker.synthetic.stream.look import View
 
 EVEN = dc.replace(
     TRAINING, shapes=("fibre tube", "flat strip", "PneuFlex"), materials=("white",), clamps=("clip",)
@@ -48,7 +50,15 @@ def stark(look):
         look.scene, colour=white, texture=0.0, things=0, occluders=0, tube_px=0.0, clamp_colour=white
     )
     light = dc.replace(
-        look.light, ambient=1.0, tint=white, gradient=0.0, vignette=0.0, shadow=0.0, gain=1.0, gamma=1.0
+        look.light,
+        ambient=1.0,
+        tint=white,
+        gradient=0.0,
+        vignette=0.0,
+        shadow=0.0,
+        gain=1.0,
+        gamma=1.0,
+        drift=0.0,
     )
     return dc.replace(
         look,
@@ -65,7 +75,7 @@ def stark(look):
 def clear(look):
     """A camera that does nothing."""
     blur = {"blur_px": 0.0, "motion_px": 0.0, "sharpening": 0.0}
-    return dc.replace(look.sensor, kind="colour", noise=0.0, jpeg_quality=0, shrink=1.0, **blur)
+    return dc.replace(look.sensor, kind="colour", noise=0.0, jpeg_quality=0, h264_crf=0, shrink=1.0, **blur)
 
 
 def darkness(sample):
@@ -151,9 +161,6 @@ def test_keypoints_lie_on_the_midline_in_order(drawn):
 
 @pytest.mark.parametrize("lens", [-0.3, 0.0, 0.25])
 def test_the_lens_and_the_tilt_have_an_inverse(lens):
-    from bendtrack.tracker.synthetic.stream.chain import Projection
-    from bendtrack.tracker.synthetic.stream.look import View
-
     projection = Projection(View(15.0, -11.0, 0.7, lens), (256, 192))
     plane = np.random.default_rng(0).uniform((20, 20), (230, 170), (50, 2))
     seen = projection.picture(plane)
@@ -295,6 +302,49 @@ def test_a_video_moves_the_tip_and_leaves_the_base():
     np.testing.assert_array_equal(Stage(look).frame(bends[3], noise_seed=3).picture, samples[3].picture)
 
 
+def test_exposure_drifts_during_a_film_up_and_down_and_moves_nothing():
+    steady = stark(drawn_look(4, families=EVEN, bend_deg=(0, 90), size_wh=(200, 160)))
+    grey = dc.replace(steady, scene=dc.replace(steady.scene, colour=(0.5, 0.5, 0.5)))
+    drifting = dc.replace(grey, light=dc.replace(grey.light, drift=0.2))
+    stage, moments = Stage(drifting), np.linspace(0, 1, 40)
+    samples = [stage.frame(30.0, moment=float(moment)) for moment in moments]
+    bright = np.array([np.median(sample.picture) for sample in samples])
+    usual = float(np.median(Stage(grey).frame(30.0, moment=0.7).picture))
+    assert bright.max() > 1.1 * usual
+    assert bright.min() < 0.9 * usual
+    assert 0.79 * usual < bright.min()
+    assert bright.max() < 1.21 * usual
+    assert np.abs(np.diff(bright)).max() < 0.1 * usual  # not from frame to frame
+    assert np.median(stage.frame(30.0).picture) == usual  # a single picture is exposed as its look says
+    for sample in samples:
+        np.testing.assert_array_equal(sample.keypoints_xy, samples[0].keypoints_xy)
+
+
+def test_a_gripper_shows_two_arms_and_that_with_the_tip_nearer_the_middle_is_meant():
+    shown = 0
+    for index in range(100):
+        look = drawn_look(5, index, families=EVEN, bend_deg=(40, 40), size_wh=(400, 300))
+        second = opposite(look.place)
+        if second is None:
+            continue
+        alone = stark(look)
+        one, both, other = (
+            Stage(dc.replace(alone, place=place)).frame(40.0) for place in (alone.place, look.place, second)
+        )
+        np.testing.assert_array_equal(both.keypoints_xy, one.keypoints_xy)
+        dark = [darkness(sample) > 0.5 for sample in (one, both, other)]
+        parts = cv2.connectedComponentsWithStats(dark[1].astype(np.uint8))[2][1:, cv2.CC_STAT_AREA]
+        if len(parts) != 2 or parts.min() < 0.5 * parts.max():
+            continue  # they touch, or the picture's edge cuts one
+        # Each arm lies where it would lie alone, and nothing else does.
+        assert (dark[1] != (dark[0] | dark[2])).mean() < 1e-3
+        middle = (np.array(look.size_wh) - 1) / 2
+        tips = [np.hypot(*(sample.keypoints_xy[8] - middle)) for sample in (both, other)]
+        assert tips[0] < tips[1]
+        shown += 1
+    assert shown >= 5
+
+
 def test_what_lies_over_the_body_does_not_move_with_it():
     look = drawn_look(8, 1, bend_deg=(0, 160), size_wh=(256, 256))
     look = dc.replace(look, sensor=clear(look), place=dc.replace(look.place, second_arm=None))
@@ -345,6 +395,7 @@ def middle_of_the_dark(sample):
         {"sharpening": 0.8},
         {"noise": 3.0, "noise_cell": 1.0},
         {"jpeg_quality": 20},
+        {"h264_crf": 40},
         {"shrink": 2.0},
     ],
     ids=lambda does: next(iter(does)),
@@ -421,6 +472,8 @@ def test_a_stream_has_something_of_everything():
         "motion": lambda look: look.sensor.motion_px > 1,
         "out of focus": lambda look: look.sensor.blur_px > 1,
         "coded": lambda look: 0 < look.sensor.jpeg_quality < 60,
+        "of a film in H.264": lambda look: look.sensor.h264_crf > 0,
+        "exposure that drifts": lambda look: look.light.drift > 0.05,
         "grey": lambda look: look.sensor.kind == "grey",
         "infrared": lambda look: look.sensor.kind == "infrared",
         "tilted": lambda look: abs(look.view.tilt_x_deg) > 10,

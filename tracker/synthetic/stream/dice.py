@@ -22,7 +22,12 @@ class Dice:
     """Draws single plain numbers and words."""
 
     def __init__(self, *key: int) -> None:
+        self._key = key
         self.rng = np.random.default_rng(list(key))
+
+    def apart(self, number: int) -> Dice:
+        """Other dice, for what is drawn beside: what these draw stays as it is."""
+        return Dice(*self._key, number)
 
     def between(self, low: float, high: float) -> float:
         """Evenly spread."""

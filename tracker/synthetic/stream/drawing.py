@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from .chance import drawn_look
 from .dice import Dice
 from .families import TRAINING, Families
+from .filming import as_of_a_film
 from .stage import Sample, Stage
 
 # Bends are drawn evenly from here to there, but as often as this near the straight rest.
@@ -12,6 +15,8 @@ BEND_DEG = (-60.0, 270.0)
 _NEAR_REST = 0.15
 # One body in so many reaches out of the picture.
 _PARTLY_OUT = 0.15
+# And one picture in so many is of a film in H.264: looks know nothing of it, for their films are coded when written.
+_OF_A_FILM = 0.12
 
 
 def draw(
@@ -43,4 +48,7 @@ def draw(
     look = drawn_look(
         seed, index, size_wh=size_wh, families=families, bend_deg=(bend, bend), partly_out=_PARTLY_OUT
     )
+    film = dice.apart(1)
+    if film.maybe(_OF_A_FILM):
+        look = replace(look, sensor=as_of_a_film(look.sensor, film))
     return Stage(look).frame(bend, pressure)

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from ...types import FloatArray, ImageArray
+from .coding import coded
 from .look import Light, Sensor
 from .noise import sensor_noise
 
@@ -25,7 +26,12 @@ def light_map(light: Light, size_wh: tuple[int, int]) -> FloatArray:
 
 
 def taken(
-    picture: ImageArray, lit: FloatArray, light: Light, sensor: Sensor, rng: np.random.Generator
+    picture: ImageArray,
+    lit: FloatArray,
+    light: Light,
+    sensor: Sensor,
+    rng: np.random.Generator,
+    wander: float = 1.0,
 ) -> ImageArray:
     """Expose, blur, add noise and code.
 
@@ -34,6 +40,7 @@ def taken(
     picture : RGB uint8 (H, W, 3)
     lit : `light_map`
     rng : of the noise
+    wander : by which the exposure has wandered
     """
     height, width = picture.shape[:2]
     if sensor.blur_px > 0.3:
@@ -52,11 +59,13 @@ def taken(
     noise = sensor_noise(rng, (height, width), sensor.noise_cell)
     if sensor.kind != "colour":
         noise = cv2.cvtColor(np.ascontiguousarray(noise[..., 1]), cv2.COLOR_GRAY2RGB)
-    image: ImageArray = cv2.addWeighted(exposed, light.gain, noise, sensor.noise, 0.0, dtype=cv2.CV_8U)
+    image: ImageArray = cv2.addWeighted(
+        exposed, light.gain * wander, noise, sensor.noise, 0.0, dtype=cv2.CV_8U
+    )
     if light.gamma != 1:
         curve = 255 * np.power(np.arange(256) / 255, light.gamma)
         image = cv2.LUT(image, np.round(curve).astype(np.uint8))
-    return _coded(image, sensor)
+    return coded(image, sensor)
 
 
 def _streak(length_px: float, direction_deg: float) -> FloatArray:
@@ -69,22 +78,3 @@ def _streak(length_px: float, direction_deg: float) -> FloatArray:
     # The drawn line may be uneven by a shade; turned about, it is not.
     even = kernel.astype(np.float32) + kernel[::-1, ::-1]
     return np.asarray(even / even.sum(), np.float32)
-
-
-def _coded(image: ImageArray, sensor: Sensor) -> ImageArray:
-    height, width = image.shape[:2]
-    if sensor.shrink > 1:
-        small = (round(width / sensor.shrink), round(height / sensor.shrink))
-        image = cv2.resize(image, small, interpolation=cv2.INTER_AREA)
-    if sensor.jpeg_quality:
-        sampling = (
-            cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420
-            if sensor.subsampled
-            else cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444
-        )
-        settings = [cv2.IMWRITE_JPEG_QUALITY, sensor.jpeg_quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, sampling]
-        # Red and blue change places on the way in and out alike.
-        image = np.asarray(cv2.imdecode(cv2.imencode(".jpg", image, settings)[1], cv2.IMREAD_COLOR), np.uint8)
-    if sensor.shrink > 1:
-        image = cv2.resize(image, (width, height), interpolation=cv2.INTER_LINEAR)
-    return image

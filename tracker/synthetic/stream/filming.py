@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from .dice import Dice
 from .look import Body, Light, Sensor, View
@@ -38,7 +39,13 @@ def drawn_light(dice: Dice, body: Body, size_wh: tuple[int, int]) -> Light:
         softness_px=(dice.between(0.5, 2) if hard else dice.between(2, 9)) * unit,
         gain=exposure,
         gamma=dice.between(0.8, 1.25),
+        drift=_drawn_drift(dice.apart(1)),
     )
+
+
+def _drawn_drift(dice: Dice) -> float:
+    """Of a camera that sets its exposure itself, or lamps and windows that are not steady."""
+    return dice.between(0.03, 0.2) if dice.maybe(0.5) else 0.0
 
 
 def drawn_sensor(dice: Dice, size_wh: tuple[int, int]) -> Sensor:
@@ -55,5 +62,11 @@ def drawn_sensor(dice: Dice, size_wh: tuple[int, int]) -> Sensor:
         noise_cell=dice.one_of((1.0, 1.0, 2.0)),
         jpeg_quality=dice.whole(18, 92) if dice.maybe(0.65) else 0,
         subsampled=dice.maybe(0.7),
+        h264_crf=0,
         shrink=dice.between(1.3, 2.2) if dice.maybe(0.12) else 1.0,
     )
+
+
+def as_of_a_film(sensor: Sensor, dice: Dice) -> Sensor:
+    """The same camera, whose picture is one of a coded film."""
+    return replace(sensor, h264_crf=dice.whole(22, 42))

@@ -152,7 +152,7 @@ class Light:
 
     `gradient` : relative fall of the light across the picture; `vignette` : toward its corners.
     `shadow`, `shadow_px`, `softness_px` : depth, offset and blur of the body's shadow.
-    `gain`, `gamma` : exposure; 1 is right.
+    `gain`, `gamma` : exposure; 1 is right. `drift` : by how much of it the exposure wanders up and down during a film.
     """
 
     azimuth_deg: float
@@ -166,6 +166,7 @@ class Light:
     softness_px: float
     gain: float
     gamma: float
+    drift: float
 
 
 @dataclass(frozen=True)
@@ -173,7 +174,8 @@ class Sensor:
     """What the camera does to the picture.
 
     `kind` : "colour", "grey" or "infrared". Blur in px (Gaussian sigma; length and direction of a movement),
-    noise in grey levels, `jpeg_quality` 0 for none, `shrink` the factor of a low-resolution stream.
+    noise in grey levels, `jpeg_quality` 0 for none, `h264_crf` 0 for none and in JPEG's place, `shrink` the factor of a
+    low-resolution stream.
     """
 
     kind: str
@@ -185,6 +187,7 @@ class Sensor:
     noise_cell: float
     jpeg_quality: int
     subsampled: bool
+    h264_crf: int
     shrink: float
 
 

@@ -62,7 +62,13 @@ class Stage:
         self._places = (look.place,) if second is None else (second, look.place)
         self._draw_behind()
 
-    def frame(self, bend_deg: float, pressure: float | None = None, noise_seed: int = 0) -> Sample:
+    def frame(
+        self,
+        bend_deg: float,
+        pressure: float | None = None,
+        noise_seed: int = 0,
+        moment: float | None = None,
+    ) -> Sample:
         """Draw the actuator.
 
         Parameters
@@ -70,6 +76,7 @@ class Stage:
         bend_deg : bend in the plane of the body, toward the side to which it bends under pressure
         pressure : relative to the full one, swells the chambers; None goes with the bend
         noise_seed : of the sensor's noise
+        moment : in the film, from 0 to 1: as far the exposure has wandered. None: it is as it was set
         """
         look = self.look
         if pressure is None:
@@ -94,8 +101,18 @@ class Stage:
         self._occlude(picture, cover)
         rng = np.random.default_rng([look.scene.seed, 9, noise_seed])
         return self._with_truth(
-            taken(picture, self._lit, look.light, look.sensor, rng), (cover, clamped), chains[-1], layers[-1]
+            taken(picture, self._lit, look.light, look.sensor, rng, self._wander(moment)),
+            (cover, clamped),
+            chains[-1],
+            layers[-1],
         )
+
+    def _wander(self, moment: float | None) -> float:
+        """By which factor the exposure differs from what was set: up and down a few times during the film."""
+        if moment is None:
+            return 1.0
+        times, phase = np.random.default_rng([self.look.scene.seed, 10]).uniform((0.7, 0.0), (3.0, 1.0))
+        return float(1 + self.look.light.drift * np.sin(2 * np.pi * (times * moment + phase)))
 
     def _with_truth(
         self,
