@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import torch
@@ -36,16 +36,15 @@ def parent_of(start: str, backbone: str) -> Checkpoint | None:
     return parent if parent.backbone == backbone else None
 
 
-def inherit(network: Cascade, keypoints: Sequence[str], parent: Checkpoint) -> dict[str, str]:
+def inherit(network: Cascade, keypoints: Sequence[str], parent: Checkpoint, taken: Mapping[str, str]) -> None:
     """Put a parent's weights into a network with keypoints of its own.
 
     Residual stages that the parent does not have say nothing at first.
 
-    Returns
-    -------
-    The parent's keypoint for each of ours whose head was taken over; the other heads stay as they are.
+    Parameters
+    ----------
+    taken : the parent's keypoint for each of ours whose head is taken over; the other heads stay as they are
     """
-    taken = counterparts(keypoints, parent.keypoints)
     to = [row for name in taken for row in _rows(keypoints, name)]
     source = [row for name in taken.values() for row in _rows(parent.keypoints, name)]
     for own, other in ((network.locator, parent.network.locator), (network.refiner, parent.network.refiner)):
@@ -58,21 +57,31 @@ def inherit(network: Cascade, keypoints: Sequence[str], parent: Checkpoint) -> d
             else:
                 state[name] = value
         own.load_state_dict(state)
-    return taken
 
 
-def counterparts(keypoints: Sequence[str], known: Sequence[str]) -> dict[str, str]:
+def counterparts(
+    keypoints: Sequence[str], known: Sequence[str], recognised: Mapping[str, str] | None = None
+) -> dict[str, str]:
     """For each keypoint the known one that it is: by name, or where no name is known, by its place in the chain.
+
+    recognised : what the labels say of that (`recognition.recognised`), which goes before the place
 
     >>> counterparts(["root", "neck", "wrist", "nail"], ["base_1", "base_2", "mid_1", "tip_1", "tip_2"])
     {'root': 'base_1', 'neck': 'base_2', 'wrist': 'tip_1', 'nail': 'tip_2'}
+    >>> counterparts(["nail", "root"], ["base_1", "tip_2"], {"nail": "tip_2", "root": "base_1"})
+    {'nail': 'tip_2', 'root': 'base_1'}
     >>> counterparts(["tip_2", "ear"], ["tip_1", "tip_2"])
     {'tip_2': 'tip_2'}
     """
     named = {name: name for name in keypoints if name in known}
-    if named or len(keypoints) < len(ENDS) or not set(ENDS) <= set(known):
+    if named:
         return named
-    return dict(zip((*keypoints[:2], *keypoints[-2:]), ENDS, strict=True))
+    taken = dict(recognised or {})
+    if len(keypoints) >= len(ENDS) and set(ENDS) <= set(known):
+        for name, end in zip((*keypoints[:2], *keypoints[-2:]), ENDS, strict=True):
+            if name not in taken and end not in taken.values():
+                taken[name] = end
+    return taken
 
 
 def _rows(keypoints: Sequence[str], name: str) -> list[int]:

@@ -35,7 +35,7 @@ from ..finding.calibration import Calibration, typical_scale, usual_peaks
 from ..finding.finder import joined
 from ..finding.regions import WorkingRegion
 from .dataset import PreparedFrame
-from .inheritance import ENDS, inherit, parent_of
+from .inheritance import ENDS, counterparts, inherit, parent_of
 from .pair import Pair
 from .picture_pool import PicturePool
 from .pretraining_figure import write_curve
@@ -218,7 +218,7 @@ class _Pretrainer:
             raise TrainingError(
                 f"--seed: expected one whose pictures {init} has not seen, such as {own + 2}, got {self.settings.seed}"
             )
-        inherit(network, KEYPOINTS, parent)
+        inherit(network, KEYPOINTS, parent, counterparts(KEYPOINTS, parent.keypoints))
 
     def run(
         self,
@@ -332,6 +332,7 @@ class _Pretrainer:
             best_step=0,
             targets=no_labels,
             start=self.settings.init,
+            taken={},
         )
         save_state(self.state_file, state, self.pair.learners)
         write_rows(self.folder, self.rows)

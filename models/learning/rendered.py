@@ -4,7 +4,7 @@ pretraining is judged by. What is drawn is in `tracker.synthetic.stream`.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -15,7 +15,6 @@ from ...tracker.types import BoolArray, FloatArray, ImageArray
 from ..finding.regions import MAX_MAGNIFICATION, PATCH_BODY_SHARE, WorkingRegion
 from ..finding.views import PATCH_SIDE, stacked
 from .dataset import PreparedFrame, prepare
-from .inheritance import counterparts
 
 PICTURE_SIDE = 320
 """Bodies are 60 to 300 px long in such pictures, as in a webcam's: a patch of one is as sharp as there."""
@@ -73,9 +72,13 @@ def rendered_samples(seed: int, indices: Sequence[int]) -> Iterator[tuple[Sample
         yield sample, prepare(sample.picture, sample.keypoints_xy, region, sample.visible)
 
 
-def rendered_frames(seed: int, indices: Sequence[int], keypoints: Sequence[str]) -> list[PreparedFrame]:
-    """`rendered_samples` as frames with a project's keypoints; those are labelled that are `counterparts`."""
-    taken = counterparts(keypoints, KEYPOINTS)
+def rendered_frames(
+    seed: int, indices: Sequence[int], keypoints: Sequence[str], taken: Mapping[str, str]
+) -> list[PreparedFrame]:
+    """`rendered_samples` as frames with a project's keypoints, of which those are labelled that are canonical ones.
+
+    taken : the canonical keypoint of each that is one
+    """
     rows = [KEYPOINTS.index(taken[name]) if name in taken else -1 for name in keypoints]
     known = np.array(rows) >= 0
     return [

@@ -84,7 +84,7 @@ def self_trained(
     """
     own = {i: prepare(glimpses[i], examples.xy[i], region) for i in np.flatnonzero(examples.right).tolist()}
     lessons = Lessons(
-        rendered_frames(SETTINGS.seed, range(REHEARSED), KEYPOINTS),
+        rendered_frames(SETTINGS.seed, range(REHEARSED), KEYPOINTS, {name: name for name in KEYPOINTS}),
         crop_wh([region]),
         partner,
         SETTINGS.batch_frames,

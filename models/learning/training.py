@@ -21,25 +21,24 @@ from torch import Tensor
 
 from ...tracker.angle import AngleDefinition, bending_angle
 from ...tracker.errors import LabelError, TrainingError
-from ...tracker.synthetic.stream import KEYPOINTS
-from ...tracker.types import BoolArray, Detections, FloatArray, LabelledFrame
+from ...tracker.types import Detections, FloatArray, LabelledFrame
 from ..cascade import Cascade
 from ..checkpoint import Checkpoint, best_device
 from ..evaluation import frame_id
 from ..finding.calibration import calibrate
 from ..finding.finder import joined
 from ..finding.label_offset import with_offset
-from ..finding.mirrored import MirroredReader
 from ..finding.regions import partner_lengths, partners, working_regions
-from .alignment import learn_alignment
-from .consensus import label_offset, without_noise
+from .consensus import label_offset
 from .dataset import Batch, prepare, read_image
+from .evidence import Evidence
 from .held_out import split
 from .inheritance import counterparts, inherit, parent_of
 from .initialisation import load_backbone, resolve_init, starting_weights
 from .lessons import Lessons, crop_wh
 from .pair import Pair
-from .registration import registered, shipped_features
+from .recognition import recognised
+from .registration import shipped_features
 from .rendered import rendered_frames
 from .schedule import Schedule
 from .settings import TrainingSettings
@@ -149,6 +148,7 @@ class _Trainer:
         self.start = resolve_init(settings.init, settings.backbone)
         self.taken: dict[str, str] = {}
         self.settings = settings
+        self._load_pictures()
         torch.manual_seed(settings.seed)
         network = Cascade(settings.backbone, len(keypoints))
         if not resume:  # a training that is resumed has its weights; those that it started from may be gone
@@ -166,17 +166,27 @@ class _Trainer:
         self.best: dict[str, Tensor] | None = None
         self.best_step = 0
         self.last_px = self.last_deg = float("nan")
-        self._load_pictures()
+        if not resume:
+            self._plan_lessons()
 
     def _start_from(self, network: Cascade) -> None:
         parent = parent_of(self.start, self.settings.backbone)
         if parent is not None:
-            self.taken = inherit(network, self.keypoints, parent)
+            self.taken = self._counterparts(parent)
+            inherit(network, self.keypoints, parent, self.taken)
             return
         weights = starting_weights(self.start, self.settings.backbone)
         if weights is not None:
             load_backbone(network.locator, weights, self.start)
             load_backbone(network.refiner, weights, self.start)
+
+    def _counterparts(self, parent: Checkpoint) -> dict[str, str]:
+        """The parent's keypoint for each of ours that it knows."""
+        if set(self.keypoints) & set(parent.keypoints):
+            return counterparts(self.keypoints, parent.keypoints)
+        videos = [frame.video for frame in self.frames]
+        told = recognised(parent, self.keypoints, self.labels, self.pictures, videos)
+        return counterparts(self.keypoints, parent.keypoints, told)
 
     def _load_pictures(self) -> None:
         pictures = [read_image(frame) for frame in self.frames]
@@ -185,21 +195,33 @@ class _Trainer:
         self.regions = working_regions(labels, sizes)
         regions = {region.frame_wh: region for region in self.regions}
         self.partner = tuple(partners(labels))
-        knows_them = self.start == "actuator" and counterparts(self.keypoints, KEYPOINTS)
-        rehearsed = (
-            rendered_frames(self.settings.seed, range(REHEARSED), self.keypoints) if knows_them else []
-        )
-        # Not those of the network that learns: they would come to agree with its own errors.
-        self.features = shipped_features().to(self.device) if knows_them and self.settings.consensus else None
         self.prepared = [
             prepare(picture, xy, regions[size])
             for picture, xy, size in zip(pictures, labels, sizes, strict=True)
         ]
-        self.patch_scale = np.array([frame.region.refiner_scale for frame in self.prepared])
         self.labels = labels
         self.targets = labels.copy()
         # Pictures are kept for evaluation at the scales that detection cuts itself.
         self.pictures = pictures
+
+    def _plan_lessons(self) -> None:
+        """By what and beside what the labels are learnt, once it is known which keypoints the network knew."""
+        knows_them = self.start == "actuator" and bool(self.taken)
+        rehearsed = (
+            rendered_frames(self.settings.seed, range(REHEARSED), self.keypoints, self.taken)
+            if knows_them
+            else []
+        )
+        # Not those of the network that learns: they would come to agree with its own errors.
+        features = shipped_features().to(self.device) if knows_them and self.settings.consensus else None
+        self.evidence = Evidence(
+            [self.prepared[i] for i in self.trained],
+            [self.pictures[i] for i in self.trained],
+            [self.frames[i].video for i in self.trained],
+            self.partner,
+            self.settings.consensus,
+            features,
+        )
         self.lessons = Lessons(
             rehearsed, crop_wh(self.regions), self.partner, self.settings.batch_frames, self.settings.seed
         )
@@ -223,7 +245,8 @@ class _Trainer:
         """Train until the schedule ends."""
         begun = time.monotonic() - self.elapsed_s
         if self.settings.consensus and self.taken and self.step == 0:
-            self._aim_as_known()
+            known = np.isin(self.keypoints, list(self.taken))
+            self.targets[self.trained] = self.evidence.known_before(self.pair.average.finder(), known)
         limit_s = None if self.settings.max_minutes is None else self.settings.max_minutes * 60
         with ThreadPoolExecutor(max_workers=1) as pool, self.pair:
             batches = pool.submit(self._batches, self.step)
@@ -261,51 +284,6 @@ class _Trainer:
             [network.detect(self.pictures[i][None], self.prepared[i].region, self.partner) for i in indices]
         )
 
-    def _aim_as_known(self) -> None:
-        """Before the first step: move the targets of keypoints that the network knows already."""
-        known: BoolArray = np.logical_not(np.isnan(self.labels).any(axis=2))
-        known &= known[:, self.partner] & np.isin(self.keypoints, list(self.taken))
-        near = np.where(known[..., None], self.labels, np.nan)
-        finder = self.pair.average.finder()
-        # What comes with bendtrack was pretrained with mirrored pictures.
-        finder = replace(finder, refine=MirroredReader(finder.refine))
-        found = [
-            finder.refined(self.pictures[i][None], near[i][None], self.prepared[i].region, self.partner)
-            for i in self.trained
-        ]
-        self.targets[self.trained] = self._less_noisy(joined(found).xy)
-
-    def _less_noisy(self, found: FloatArray) -> FloatArray:
-        """Labels of the frames trained on, less their noise as far as `consensus` says, from what was found there."""
-        labels = self.labels[self.trained]
-        return labels + self.settings.consensus * (self._believed(found)[0] - labels)
-
-    def _believed(self, found: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Positions in the frames trained on, from what was found there, and which of them are not just the label."""
-        labels, scale = self.labels[self.trained], self.patch_scale[self.trained]
-        videos = [self.frames[i].video for i in self.trained]
-        better, counts = without_noise(labels, found, self.partner, scale, videos)
-        if self.features is not None:
-            frames = [self.prepared[i] for i in self.trained]
-            better = registered(frames, better, counts, self.partner, videos, self.features)
-        return better, counts
-
-    def _learn_alignment(self, network: Cascade) -> None:
-        """Let a trained network tell from closer pictures how moving ends lie."""
-        if self.features is None:
-            return
-        xy, counts = self._believed(self._detect(network, self.trained).xy)
-        network.aligner = learn_alignment(
-            [self.pictures[i] for i in self.trained],
-            [self.prepared[i].region for i in self.trained],
-            xy,
-            counts,
-            self.partner,
-            [self.frames[i].video for i in self.trained],
-            self.features,
-            self.settings.seed,
-        )
-
     def _evaluate(self, loss: float) -> None:
         """Judge the averaged network on the held-out frames, and let the targets follow it."""
         if self.held:
@@ -321,7 +299,8 @@ class _Trainer:
                 self.best_step = self.step
         total = self.schedule.total
         if self.settings.consensus and CONSENSUS_FROM * total <= self.step < total:
-            self.targets[self.trained] = self._less_noisy(self._detect(self.pair.average, self.trained).xy)
+            found = self._detect(self.pair.average, self.trained).xy
+            self.targets[self.trained] = self.evidence.less_noisy(found)
         self.rows.append(
             {
                 "step": self.step,
@@ -347,21 +326,24 @@ class _Trainer:
         if self.best is not None and self.last_px > 1.15 * self.schedule.best_px:
             network.load_state_dict(self.best)
             step, held_out_px = self.best_step, self.schedule.best_px
-        self._learn_alignment(network)
+        if self.evidence.features is not None:
+            found = self._detect(network, self.trained)
+            network.aligner = self.evidence.aligner(found.xy, self.settings.seed)
         found = self._detect(network, self.trained)
-        own, scales = self.labels[self.trained], self.patch_scale[self.trained]
-        offset = label_offset(found.xy, self._less_noisy(found.xy), self.partner, scales)
+        own, scales = self.evidence.labels, self.evidence.patch_scale
+        offset = label_offset(found.xy, self.evidence.less_noisy(found.xy), self.partner, scales)
         found = replace(found, xy=with_offset(found.xy, offset, self.partner, scales))
         lengths = partner_lengths(own, self.partner, scales)
         held = None
         if self.held:
             held = self._detect(network, self.held)
-            scales = self.patch_scale[self.held]
+            scales = np.array([self.prepared[i].region.refiner_scale for i in self.held])
             held = replace(held, xy=with_offset(held.xy, offset, self.partner, scales))
         calibration = calibrate(found, own, held, self.labels[self.held] if self.held else None)
         training = {
             "settings": self.settings.to_dict(),
             "started_from": self.start,
+            "known_before": self.taken,
             "steps": self.step,
             "step_kept": step,
             "minutes": round(self.elapsed_s / 60, 2),
@@ -398,6 +380,7 @@ class _Trainer:
                 best_step=self.best_step,
                 targets=self.targets,
                 start=self.start,
+                taken=self.taken,
             ),
             self.pair.learners,
         )
@@ -410,7 +393,8 @@ class _Trainer:
         state = load_state(self.state_file, self.pair.learners, self.identity)
         self.step, self.elapsed_s, self.schedule = state.step, state.elapsed_s, state.schedule
         self.rows, self.best, self.best_step = state.rows, state.best, state.best_step
-        self.targets, self.start = state.targets, state.start
+        self.targets, self.start, self.taken = state.targets, state.start, state.taken
+        self._plan_lessons()
         if self.rows:
             self.last_px, self.last_deg = self.rows[-1]["held_out_px"], self.rows[-1]["held_out_deg"]
 

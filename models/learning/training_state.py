@@ -24,7 +24,7 @@ from .schedule import Schedule
 STATE_FILE = "training-state.safetensors"
 
 # Raised when the state's contents or the networks' layers change.
-FORMAT = 4
+FORMAT = 5
 
 
 @dataclass
@@ -39,6 +39,7 @@ class TrainingState:
     best, best_step : averaged weights with the lowest held-out error, and when
     targets : (N, K, 2) px, the positions trained on
     start : what the first weights were
+    taken : their keypoint for each of ours that they knew
     """
 
     identity: str
@@ -50,6 +51,7 @@ class TrainingState:
     best_step: int
     targets: NDArray[np.float64]
     start: str
+    taken: dict[str, str]
 
 
 def save_state(path: Path, state: TrainingState, learners: Mapping[str, Learner]) -> None:
@@ -70,6 +72,7 @@ def save_state(path: Path, state: TrainingState, learners: Mapping[str, Learner]
         "rows": state.rows,
         "best_step": state.best_step,
         "start": state.start,
+        "taken": state.taken,
     }
     write_tensors(path, tensors, header)
 
@@ -120,6 +123,7 @@ def load_state(path: Path, learners: Mapping[str, Learner], identity: str) -> Tr
         best=_under("best.", tensors) or None,
         best_step=header["best_step"],
         start=header["start"],
+        taken=header["taken"],
         targets=tensors["targets"].numpy(),
     )
 

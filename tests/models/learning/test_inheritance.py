@@ -13,7 +13,7 @@ from bendtrack.models.cascade import Cascade
 from bendtrack.models.checkpoint import Checkpoint
 from bendtrack.models.finding.calibration import Calibration
 from bendtrack.models.finding.regions import WorkingRegion
-from bendtrack.models.learning.inheritance import inherit, parent_of
+from bendtrack.models.learning.inheritance import counterparts, inherit, parent_of
 from bendtrack.models.learning.settings import TrainingSettings
 from bendtrack.models.learning.training import train
 from bendtrack.tracker.angle import AngleDefinition
@@ -53,7 +53,8 @@ def test_both_networks_see_what_the_parents_see(
     keypoints: tuple[str, ...], taken: dict[str, str], parent: Checkpoint
 ) -> None:
     network = Cascade("resnet18", len(keypoints)).eval()
-    assert inherit(network, keypoints, parent) == taken
+    assert counterparts(keypoints, KNOWN) == taken
+    inherit(network, keypoints, parent, taken)
     picture = torch.randint(
         0, 255, (1, 3, 64, 64), dtype=torch.uint8, generator=torch.Generator().manual_seed(1)
     )

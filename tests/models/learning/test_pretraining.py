@@ -13,6 +13,7 @@ import torch
 from bendtrack.models.checkpoint import Checkpoint, load_checkpoint
 from bendtrack.models.engine import build_beside
 from bendtrack.models.finding.header import WEIGHTS_FILE
+from bendtrack.models.learning.inheritance import ENDS
 from bendtrack.models.learning.pretraining import PretrainingSettings, pretrain
 from bendtrack.models.learning.rendered import PARTNER, rendered_frames, rendered_samples
 from bendtrack.models.learning.training_state import STATE_FILE
@@ -32,11 +33,14 @@ def test_a_sample_is_a_frame_whose_hidden_points_are_known_to_be() -> None:
 
 def test_a_project_sees_a_sample_with_its_own_points() -> None:
     ((sample, _),) = rendered_samples(3, range(1))
-    (frame,) = rendered_frames(3, range(1), ("tip_2", "spot", "base_1"))
+    (frame,) = rendered_frames(
+        3, range(1), ("tip_2", "spot", "base_1"), {"tip_2": "tip_2", "base_1": "base_1"}
+    )
     np.testing.assert_array_equal(frame.xy[[0, 2]], sample.keypoints_xy[[-1, 0]])
     np.testing.assert_array_equal(frame.in_sight[[0, 2]], sample.visible[[-1, 0]])
     assert np.isnan(frame.xy[1]).all()
-    (frame,) = rendered_frames(3, range(1), ("root", "neck", "wrist", "nail"))
+    chain = ("root", "neck", "wrist", "nail")
+    (frame,) = rendered_frames(3, range(1), chain, dict(zip(chain, ENDS, strict=True)))
     np.testing.assert_array_equal(frame.xy, sample.keypoints_xy[[0, 1, -2, -1]])
 
 

@@ -140,7 +140,7 @@ def test_what_a_network_knew_of_other_actuators_it_keeps(
 ) -> None:
     frames = make_frames(np.linspace(0, 180, 8))
     settings = TrainingSettings(init="actuator", steps=80, batch_frames=4)
-    others = rendered_frames(1000, range(60), KEYPOINTS)
+    others = rendered_frames(1000, range(60), KEYPOINTS, {name: name for name in KEYPOINTS})
 
     def px_off(at_once: int) -> float:
         """How far the refiner is off on rendered actuators that neither training has seen, median."""
@@ -278,11 +278,11 @@ def test_a_network_that_knows_actuators_learns_from_positions_nearer_to_the_trut
 ) -> None:
     frames, truth = rendered[0][::2], rendered[1][::2]
     knows = trainer_from("actuator", frames, definition, tmp_path / "model")
-    knows._aim_as_known()
+    positions = knows.evidence.known_before(knows.pair.average.finder(), np.ones(4, bool))
     labels = np.stack([frame.xy for frame in frames])
     assert tip_sd_deg(labels, truth) > 1.5
-    assert tip_sd_deg(knows.targets, truth) < 0.4 * tip_sd_deg(labels, truth)
-    assert trainer_from("random", frames, definition, tmp_path / "model").features is None
+    assert tip_sd_deg(positions, truth) < 0.4 * tip_sd_deg(labels, truth)
+    assert trainer_from("random", frames, definition, tmp_path / "model").evidence.features is None
 
 
 def test_a_network_that_knows_actuators_learns_how_tips_lie_from_closer_pictures(

@@ -1,0 +1,105 @@
+"""A project's keypoints are told by its first labels, whatever they are called and in whichever order."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from bendtrack.models.checkpoint import Checkpoint
+from bendtrack.models.learning.inheritance import counterparts, parent_of
+from bendtrack.models.learning.recognition import recognised
+from bendtrack.models.learning.settings import TrainingSettings
+from bendtrack.models.learning.training import train
+from bendtrack.tracker.angle import AngleDefinition
+from bendtrack.tracker.synthetic.stream import KEYPOINTS, TRAINING, Sample, Stage, drawn_look
+from bendtrack.tracker.types import LabelledFrame
+
+
+@pytest.fixture(scope="module")
+def parent() -> Checkpoint:
+    """What comes with bendtrack."""
+    found = parent_of("actuator", "resnet18")
+    assert found is not None
+    return found
+
+
+@pytest.fixture(scope="module", params=[3, 17])
+def samples(request: pytest.FixtureRequest) -> list[Sample]:
+    """An actuator in eight bends."""
+    look = drawn_look(778, request.param, size_wh=(480, 360), families=TRAINING, bend_deg=(0.0, 170.0))
+    stage = Stage(look)
+    return [stage.frame(float(bend), noise_seed=i) for i, bend in enumerate(np.linspace(0, 170, 8))]
+
+
+def labels_of(samples: Sequence[Sample], points: Sequence[str]) -> np.ndarray:
+    """Clicks on those canonical points, by an unsteady hand."""
+    xy = np.stack([sample.keypoints_xy[[KEYPOINTS.index(point) for point in points]] for sample in samples])
+    return xy + np.random.default_rng(0).normal(0, 1.0, xy.shape)
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        ("base_1", "base_2", "tip_1", "tip_2"),
+        ("tip_2", "tip_1", "base_2", "base_1"),
+        ("tip_2", "mid_3", "base_1"),
+    ],
+    ids=["in the usual order", "tip first", "three points"],
+)
+def test_keypoints_are_known_by_where_they_are_labelled(
+    points: tuple[str, ...], samples: list[Sample], parent: Checkpoint
+) -> None:
+    names = ("a", "b", "c", "d")[: len(points)]
+    pictures = [sample.picture for sample in samples]
+    told = recognised(parent, names, labels_of(samples, points), pictures, ["film"] * len(samples))
+    assert counterparts(names, parent.keypoints, told) == dict(zip(names, points, strict=True))
+    # What is labelled elsewhere is nothing that the network knows.
+    beside = labels_of(samples, points)
+    beside[:, 0] += 0.35 * np.linalg.norm(np.ptp(samples[0].midline_xy, axis=0))
+    told = recognised(parent, names, beside, pictures, ["film"] * len(samples))
+    assert "a" not in told
+    assert set(told.items()) <= set(dict(zip(names, points, strict=True)).items())
+
+
+def test_nothing_is_told_by_too_few_frames_or_where_there_is_no_actuator(
+    samples: list[Sample], parent: Checkpoint
+) -> None:
+    names, points = ("a", "b"), ("tip_2", "base_1")
+    labels, pictures = labels_of(samples, points), [sample.picture for sample in samples]
+    assert recognised(parent, names, labels[:3], pictures[:3], ["film"] * 3) == {}
+    assert recognised(parent, names, labels, pictures, [f"film {i % 3}" for i in range(8)]) == {}
+    empty = [np.full_like(picture, 128) for picture in pictures]
+    assert recognised(parent, names, labels, empty, ["film"] * 8) == {}
+
+
+def test_labels_with_gaps_tell_as_well(samples: list[Sample], parent: Checkpoint) -> None:
+    names, points = ("a", "b", "never"), ("tip_2", "base_1", "mid_3")
+    labels, pictures = labels_of(samples, points), [sample.picture for sample in samples]
+    labels[::2, 0] = np.nan
+    labels[:, 2] = np.nan
+    assert recognised(parent, names, labels, pictures, ["film"] * 8) == {"a": "tip_2", "b": "base_1"}
+
+
+def test_a_training_begins_with_what_the_labels_tell(samples: list[Sample], tmp_path: Path) -> None:
+    names = ("nail", "wrist", "neck", "root")
+    labels = labels_of(samples, ("tip_2", "tip_1", "base_2", "base_1"))
+    frames = []
+    for i, sample in enumerate(samples):
+        path = tmp_path / f"img{i:05d}.png"
+        cv2.imwrite(str(path), sample.picture[..., ::-1])
+        frames.append(LabelledFrame("film", path, labels[i], "default", i))
+    # A step that changes nothing: what is found is what was known before.
+    settings = TrainingSettings(
+        init="actuator", steps=1, batch_frames=1, learning_rate=0.0, held_out=0.0, consensus=0.0
+    )
+    network = train(frames, names, AngleDefinition("two-vector", names), tmp_path / "model", settings)
+    known = dict(zip(names, ("tip_2", "tip_1", "base_2", "base_1"), strict=True))
+    assert network.training["known_before"] == known
+    found = network.detect(np.stack([sample.picture for sample in samples]))
+    off = np.linalg.norm(found.xy - labels, axis=2)
+    assert np.median(off) < 6
+    assert np.median(off, axis=0).max() < 12
