@@ -11,7 +11,6 @@ import contextlib
 import io
 import json
 import logging
-import os
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -130,7 +129,7 @@ def build(
     kept = _Keeping(network)
     for frame in fit:
         _found(kept.finder, checkpoint, [frame])
-    with _in_private():
+    with _quietly():
         maps = {part: _converted(getattr(network, part)) for part in PARTS}
     in_integers, in_floats = ENGINES
     candidates: dict[str, Callable[[str], openvino.Model]] = {in_floats: lambda part: maps[part].clone()}
@@ -150,7 +149,7 @@ def build(
         if align:
             _save(aligner, folder / f"{ALIGNER}.xml")
         for name, make in candidates.items():
-            with _in_private():
+            with _quietly():
                 models = {part: _with_votes(make(part), peaks[part]) for part in PARTS}
             locate, refine = (CompiledReader(models[part]) for part in PARTS)
             finder = Finder(locate, refine, checkpoint.peaks, align)
@@ -238,7 +237,7 @@ def compiled_networks(network: Cascade, peaks: int, workers: int = 1, threads: i
     peaks : as `Finder`'s; `workers` and `threads` are those of `CompiledReader`
     """
     network = network.float().cpu().eval()
-    with _in_private():
+    with _quietly():
         models = [_with_votes(_converted(getattr(network, part)), n) for part, n in _peaks(peaks).items()]
     locate, refine = (CompiledReader(model, workers, threads) for model in models)
     return Finder(locate, refine, peaks)
@@ -258,7 +257,7 @@ def _converted_aligner(aligner: EndAligner) -> openvino.Model:
     """An aligner for any number of pictures."""
     shape = (3, END_SIDE, END_SIDE)
     example = torch.zeros((2, *shape), dtype=torch.uint8)
-    with _in_private():
+    with _quietly():
         return openvino.convert_model(
             aligner, example_input=example, input=[openvino.PartialShape([-1, *shape])]
         )
@@ -319,16 +318,10 @@ def _save(model: openvino.Model, path: Path) -> None:
 
 
 @contextmanager
-def _in_private() -> Iterator[None]:
-    """The converters at work without a word on the terminal, and without reports of their use to their makers.
-
-    Both send such reports unless they believe that they run on a test machine.
-    """
-    wanted = {"CI": "true", "NNCF_CI": "1"}
-    before = {name: os.environ.get(name) for name in wanted}
+def _quietly() -> Iterator[None]:
+    """The converters at work without a word on the terminal."""
     loggers = [logging.getLogger(name) for name in ("nncf", "torch.utils.cpp_extension")]
     levels = [logger.level for logger in loggers]
-    os.environ.update(wanted)
     for logger in loggers:
         logger.setLevel(logging.ERROR)
     try:
@@ -336,10 +329,5 @@ def _in_private() -> Iterator[None]:
             warnings.simplefilter("ignore")
             yield
     finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
         for logger, level in zip(loggers, levels, strict=True):
             logger.setLevel(level)

