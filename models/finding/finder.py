@@ -77,6 +77,7 @@ class Finder:
     align : tells how ends lie that look alike wherever they turn; None where there are none
     thorough : whether those ends are seen from two sides too, before that: where nobody has labelled anything, whether
         an end is seen at all is the question
+    once : keypoints that are looked at from one side only, for nothing that is measured hangs on them
     """
 
     locate: Reader
@@ -84,6 +85,7 @@ class Finder:
     peaks: int = 1
     align: Aligner | None = None
     thorough: bool = False
+    once: tuple[int, ...] = ()
 
     def detect(self, frames: Frames, region: WorkingRegion, partner: Sequence[int]) -> Detections:
         """Find the keypoints in frames of one size, each by itself.
@@ -159,7 +161,7 @@ class Finder:
             if not len(rows):
                 break
         left = wanted if self.thorough else wanted & ~self._aligned(found, wanted, frames, region)
-        rows, keypoints = np.nonzero(left)
+        rows, keypoints = np.nonzero(left & ~np.isin(np.arange(left.shape[1]), self.once))
         if len(rows):
             aside = np.repeat([ASIDE_PATCH_PX, -ASIDE_PATCH_PX], len(rows))[:, None]
             both = self._look(found, np.tile(rows, 2), np.tile(keypoints, 2), aside, frames, region, partner)

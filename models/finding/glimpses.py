@@ -129,8 +129,13 @@ class Shown:
         """A finder that knows where this actuator is held, and with `align` how its moving end lies; `header` is this
         video's."""
         parts = finder.locate, finder.refine, finder.peaks, align
+        points = header.definition.points
         return HeldFinder(
-            *parts, fixed_xy=self.fixed_xy, body_px=self.body_px, calibration=header.calibration
+            *parts,
+            once=tuple(k for k, name in enumerate(header.keypoints) if name not in points),
+            fixed_xy=self.fixed_xy,
+            body_px=self.body_px,
+            calibration=header.calibration,
         )
 
     def examples(self, glimpses: Frames, header: Header, finder: Finder) -> Examples:

@@ -85,6 +85,7 @@ def test_what_comes_with_bendtrack_measures_an_actuator_without_labels(film) -> 
     detector = NetworkDetector.load(network, engine="torch")
     assert detector._finder.align is None
     known = detector.for_video(pictures)
+    assert [KEYPOINTS[k] for k in known._finder.once] == list(KEYPOINTS[2:-2])
     assert known._finder.align.ends == ((7, 8),)
     found = known.detect(pictures[::4])
     angle, _, _ = bending_angle(found.xy, known.keypoints, known.header.definition)

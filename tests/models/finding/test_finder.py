@@ -113,6 +113,17 @@ def test_what_a_patch_adds_by_where_it_is_cut_cancels(header: Header) -> None:
         np.testing.assert_allclose(found.xy, truth, atol=0.06 + 0.04 * off_px)
 
 
+def test_what_is_not_measured_by_is_looked_at_once(finder: Finder, header: Header) -> None:
+    truth = arms(np.array([20.0, 65.0]))
+    frames = [picture(xy) for xy in truth]
+    quick = Finder(FindsSpots(), FindsSpots(), once=(1,))
+    one, other = (own.refined(frames, truth, REGION, header.partner) for own in (finder, quick))
+    # Of three keypoints in two frames one is seen in two patches less.
+    assert finder.refine.shown - quick.refine.shown == 2 * 2
+    np.testing.assert_array_equal(one.xy[:, [0, 2]], other.xy[:, [0, 2]])
+    np.testing.assert_allclose(other.xy[:, 1], truth[:, 1], atol=0.1)
+
+
 def test_of_two_readings_far_apart_the_likelier_counts() -> None:
     one, other = (
         Detections(np.full((1, 2, 2), x), np.array([[0.8, 0.4]]), np.full((1, 2, 2, 2), x))
