@@ -4,7 +4,8 @@ The names in `__all__` are what other programs may build on. Each is loaded when
 compiled network needs no torch, and does not wait for it.
 
 What is measured with bendtrack is nobody else's business: OpenVINO and NNCF would report each use to their makers, the
-former as soon as it is imported. They do without where their package for that is not to be had, so here it is not.
+former as soon as it is imported. They do without where their package for that is not to be had, so from here on it is
+not, in the whole process.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 if __name__ != "bendtrack.models":
     raise ImportError(f"import this package as bendtrack.models, not as {__name__}")
 
-sys.modules.setdefault("openvino_telemetry", None)  # type: ignore[arg-type]
+sys.modules["openvino_telemetry"] = None  # type: ignore[assignment]
 
 if TYPE_CHECKING:
     from .checkpoint import Checkpoint, load_checkpoint

@@ -201,3 +201,12 @@ def test_other_labels_do_not_fit_a_stopped_training(bendtrack, project: Project)
     assert "got a damaged file" in ran.err
     (folder / "training-settings.json").write_text("{")
     assert "expected training settings" in bendtrack("train", project.root, "--resume").err
+
+
+def test_which_keypoints_of_other_names_the_network_knew_is_said(bendtrack, project: Project) -> None:
+    for path in (project.root / "bendtrack.toml", *project.labels_dir.rglob("*.csv")):
+        path.write_text(path.read_text().replace("base_", "root_").replace("tip_", "top_"))
+    set_training(project, init='"actuator"', steps=1)
+    ran = bendtrack("train", project.root)
+    assert (ran.status, ran.err) == (0, "")
+    assert "They knew root_1 as base_1, root_2 as base_2, top_1 as tip_1, top_2 as tip_2" in ran.out

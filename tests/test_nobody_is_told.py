@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from bendtrack.tracker.project import Project
 
 # Runs a command and writes down whom it calls, in processes that it forks too.
@@ -45,6 +47,7 @@ def listened_to(calls: Path, home: Path, *command: object) -> tuple[int, str]:
     return done.returncode, calls.read_text()
 
 
+@pytest.mark.slow
 def test_training_compiling_and_measuring_call_nobody(
     project: Project, write_arm_video, tmp_path: Path
 ) -> None:

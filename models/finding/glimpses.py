@@ -129,10 +129,10 @@ class Shown:
         """A finder that knows where this actuator is held, and with `align` how its moving end lies; `header` is this
         video's."""
         parts = finder.locate, finder.refine, finder.peaks, align
-        points = header.definition.points
+        between = range(len(header.keypoints))[FIXED.stop : MOVING.start]
         return HeldFinder(
             *parts,
-            once=tuple(k for k, name in enumerate(header.keypoints) if name not in points),
+            once=tuple(k for k in between if header.keypoints[k] not in header.definition.points),
             fixed_xy=self.fixed_xy,
             body_px=self.body_px,
             calibration=header.calibration,

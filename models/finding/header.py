@@ -52,7 +52,7 @@ class Header:
     label_offset : for each keypoint from `learning.consensus.label_offset`; empty where it is in the weights
     lengths : for each keypoint the shortest and the longest labelled distance from its partner, in patch px
         (`regions.partner_lengths`); empty where nobody labelled any
-    training : settings, what the weights started from, frames trained on and held out
+    training : settings, what the weights started from and which keypoints they knew, frames trained on and held out
     """
 
     backbone: str

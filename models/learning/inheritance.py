@@ -62,9 +62,10 @@ def inherit(network: Cascade, keypoints: Sequence[str], parent: Checkpoint, take
 def counterparts(
     keypoints: Sequence[str], known: Sequence[str], recognised: Mapping[str, str] | None = None
 ) -> dict[str, str]:
-    """For each keypoint the known one that it is: by name, or where no name is known, by its place in the chain.
+    """For each keypoint the known one that it is: by name, or where no name is known, by what the labels say, or where
+    those say nothing, by its place in the chain.
 
-    recognised : what the labels say of that (`recognition.recognised`), which goes before the place
+    recognised : what the labels say (`recognition.recognised`)
 
     >>> counterparts(["root", "neck", "wrist", "nail"], ["base_1", "base_2", "mid_1", "tip_1", "tip_2"])
     {'root': 'base_1', 'neck': 'base_2', 'wrist': 'tip_1', 'nail': 'tip_2'}
@@ -76,12 +77,11 @@ def counterparts(
     named = {name: name for name in keypoints if name in known}
     if named:
         return named
-    taken = dict(recognised or {})
-    if len(keypoints) >= len(ENDS) and set(ENDS) <= set(known):
-        for name, end in zip((*keypoints[:2], *keypoints[-2:]), ENDS, strict=True):
-            if name not in taken and end not in taken.values():
-                taken[name] = end
-    return taken
+    if recognised:
+        return dict(recognised)
+    if len(keypoints) < len(ENDS) or not set(ENDS) <= set(known):
+        return {}
+    return dict(zip((*keypoints[:2], *keypoints[-2:]), ENDS, strict=True))
 
 
 def _rows(keypoints: Sequence[str], name: str) -> list[int]:

@@ -20,13 +20,18 @@ from ..finding.sighting import LEAST_SAME
 from .inheritance import ENDS
 
 NEAR = 0.1
-"""A label is of a known keypoint that lies within so much of the body's length, in the median over the frames."""
+"""A label is of a known keypoint that lies within so much of the body's length, in the median over the frames: points
+along the midline are found a twentieth of it off, and lie an eighth of it apart."""
 
 ENDS_FIRST = 0.03
-"""What is near an end's point and a midline's is the end's, unless it is nearer to the midline's by so much."""
+"""What is near an end's point and a midline's is the end's, unless it is nearer to the midline's by so much of the
+body's length: it is ends that are mostly labelled."""
 
 LEAST_FRAMES, MOST_FRAMES = 4, 32
-"""Frames of one video by which that is told."""
+"""Frames of one video by which that is told: fewer do not tell which end rests."""
+
+LEAST_TIMES = 3
+"""Labels of a keypoint among them that make a median."""
 
 
 def recognised(
@@ -63,11 +68,12 @@ def recognised(
         return {}
     away = labels[rows][shown.same][:, :, None] - shown.found.xy[shown.same][:, None]
     apart = np.linalg.norm(away, axis=-1) / shown.body_px
-    labelled = np.isfinite(apart).any(axis=(0, 2))
+    labelled = np.isfinite(apart[..., 0]).sum(axis=0) >= LEAST_TIMES
     usual = np.full(apart.shape[1:], np.inf)
     usual[labelled] = np.nanmedian(apart[:, labelled], axis=0)
     midline = ENDS_FIRST * ~np.isin(parent.keypoints, ENDS)
-    ours, theirs = linear_sum_assignment(np.minimum(usual, 1.0) + midline)
+    # What is near nothing is not to push others away.
+    ours, theirs = linear_sum_assignment(np.where(usual <= NEAR, usual, 1.0) + midline)
     return {
         keypoints[k]: parent.keypoints[known]
         for k, known in zip(ours, theirs, strict=True)

@@ -184,8 +184,14 @@ class _Trainer:
         """The parent's keypoint for each of ours that it knows."""
         if set(self.keypoints) & set(parent.keypoints):
             return counterparts(self.keypoints, parent.keypoints)
-        videos = [frame.video for frame in self.frames]
-        told = recognised(parent, self.keypoints, self.labels, self.pictures, videos)
+        own = self.trained
+        told = recognised(
+            parent,
+            self.keypoints,
+            self.labels[own],
+            [self.pictures[i] for i in own],
+            [self.frames[i].video for i in own],
+        )
         return counterparts(self.keypoints, parent.keypoints, told)
 
     def _load_pictures(self) -> None:

@@ -194,6 +194,9 @@ def train_network(
     talk.say(
         f"'{folder.name}': {facts['steps']} steps in {facts['minutes']:.1f} min, from {facts['started_from']} weights"
     )
+    renamed = [f"{own} as {known}" for own, known in facts["known_before"].items() if own != known]
+    if renamed:
+        talk.say(f"They knew {', '.join(renamed)}")
     held_out = not_trained_on(checkpoint, frames)
     if not held_out:
         talk.say(

@@ -69,4 +69,4 @@ def drawn_sensor(dice: Dice, size_wh: tuple[int, int]) -> Sensor:
 
 def as_of_a_film(sensor: Sensor, dice: Dice) -> Sensor:
     """The same camera, whose picture is one of a coded film."""
-    return replace(sensor, h264_crf=dice.whole(22, 42))
+    return replace(sensor, jpeg_quality=0, h264_crf=dice.whole(22, 42))

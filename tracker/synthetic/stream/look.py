@@ -174,7 +174,7 @@ class Sensor:
     """What the camera does to the picture.
 
     `kind` : "colour", "grey" or "infrared". Blur in px (Gaussian sigma; length and direction of a movement),
-    noise in grey levels, `jpeg_quality` 0 for none, `h264_crf` 0 for none and in JPEG's place, `shrink` the factor of a
+    noise in grey levels, `jpeg_quality` and `h264_crf` 0 for none, of which at most one codes, `shrink` the factor of a
     low-resolution stream.
     """
 
