@@ -62,8 +62,8 @@ def inherit(network: Cascade, keypoints: Sequence[str], parent: Checkpoint, take
 def counterparts(
     keypoints: Sequence[str], known: Sequence[str], recognised: Mapping[str, str] | None = None
 ) -> dict[str, str]:
-    """For each keypoint the known one that it is: by name, or where no name is known, by what the labels say, or where
-    those say nothing, by its place in the chain.
+    """For each keypoint the known one that it is: by name, or where no name is known, by its place in the chain,
+    whichever end of that comes first, as far as the labels do not say otherwise.
 
     recognised : what the labels say (`recognition.recognised`)
 
@@ -71,17 +71,23 @@ def counterparts(
     {'root': 'base_1', 'neck': 'base_2', 'wrist': 'tip_1', 'nail': 'tip_2'}
     >>> counterparts(["nail", "root"], ["base_1", "tip_2"], {"nail": "tip_2", "root": "base_1"})
     {'nail': 'tip_2', 'root': 'base_1'}
+    >>> counterparts(["nail", "wrist", "neck", "root"], [*ENDS], {"nail": "tip_2"})
+    {'root': 'base_1', 'neck': 'base_2', 'wrist': 'tip_1', 'nail': 'tip_2'}
     >>> counterparts(["tip_2", "ear"], ["tip_1", "tip_2"])
     {'tip_2': 'tip_2'}
     """
     named = {name: name for name in keypoints if name in known}
     if named:
         return named
-    if recognised:
-        return dict(recognised)
+    told = dict(recognised or {})
     if len(keypoints) < len(ENDS) or not set(ENDS) <= set(known):
-        return {}
-    return dict(zip((*keypoints[:2], *keypoints[-2:]), ENDS, strict=True))
+        return told
+    for chain in (keypoints, keypoints[::-1]):
+        placed = {**dict(zip((*chain[:2], *chain[-2:]), ENDS, strict=True)), **told}
+        ends = [placed[name] for name in (*chain[:2], *chain[-2:])]
+        if ends == list(ENDS):
+            return placed
+    return told
 
 
 def _rows(keypoints: Sequence[str], name: str) -> list[int]:

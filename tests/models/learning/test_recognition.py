@@ -70,7 +70,7 @@ def test_what_is_labelled_elsewhere_is_nothing_that_the_network_knows(
     told = recognised(parent, names, labels, pictures, ["film"] * len(samples))
     assert told == {"root": "base_1", "tip": "tip_2"}
     # Nor is it taken for what stands at its place in the list.
-    assert counterparts((*names, "other"), parent.keypoints, told) == told
+    assert counterparts(("root", "neck", "tip", "load"), parent.keypoints, told) == told
 
 
 def test_nothing_is_told_by_too_few_frames_or_where_there_is_no_actuator(
