@@ -35,7 +35,9 @@ def record(wave, begin=0.0, end=6.0, noise_kpa=0.2, seed=0):
 
 
 @pytest.mark.parametrize(
-    ("wave", "turn"), [(triangle, 0.5), (sine, 0.5), (trapezoid, 0.5), (sawtooth, 0.8)], ids=lambda w: str(w)
+    ("wave", "turn"),
+    [(triangle, 0.5), (sine, 0.5), (trapezoid, 0.5), (sawtooth, 0.8)],
+    ids=lambda w: getattr(w, "__name__", None),
 )
 @pytest.mark.parametrize("noise_kpa", [0.0, 0.2, 1.0])
 def test_period_amplitude_and_phase_of_any_wave(wave, turn, noise_kpa):
