@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -153,7 +154,10 @@ def test_settings_that_mean_nothing_are_refused(wrong: dict) -> None:
 
 
 @pytest.mark.slow
-def test_the_command_stops_and_goes_on(bendtrack, tmp_path: Path) -> None:
+def test_the_command_stops_and_goes_on(bendtrack, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # To judge by as many pictures as usual takes longest.
+    few = partial(usual_settings, judged=4)
+    monkeypatch.setattr("bendtrack.models.learning.pretraining.usual_settings", few)
     out = tmp_path / "actuators"
     ran = bendtrack("pretrain", out, "--steps", "2", "--stop-after", "0")
     assert (ran.status, ran.err) == (0, "")
