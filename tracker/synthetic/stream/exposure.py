@@ -26,12 +26,7 @@ def light_map(light: Light, size_wh: tuple[int, int]) -> FloatArray:
 
 
 def taken(
-    picture: ImageArray,
-    lit: FloatArray,
-    light: Light,
-    sensor: Sensor,
-    rng: np.random.Generator,
-    wander: float = 1.0,
+    picture: ImageArray, lit: FloatArray, light: Light, sensor: Sensor, rng: np.random.Generator
 ) -> ImageArray:
     """Expose, blur, add noise and code.
 
@@ -40,7 +35,6 @@ def taken(
     picture : RGB uint8 (H, W, 3)
     lit : `light_map`
     rng : of the noise
-    wander : by which the exposure has wandered
     """
     height, width = picture.shape[:2]
     if sensor.blur_px > 0.3:
@@ -59,9 +53,7 @@ def taken(
     noise = sensor_noise(rng, (height, width), sensor.noise_cell)
     if sensor.kind != "colour":
         noise = cv2.cvtColor(np.ascontiguousarray(noise[..., 1]), cv2.COLOR_GRAY2RGB)
-    image: ImageArray = cv2.addWeighted(
-        exposed, light.gain * wander, noise, sensor.noise, 0.0, dtype=cv2.CV_8U
-    )
+    image: ImageArray = cv2.addWeighted(exposed, light.gain, noise, sensor.noise, 0.0, dtype=cv2.CV_8U)
     if light.gamma != 1:
         curve = 255 * np.power(np.arange(256) / 255, light.gamma)
         image = cv2.LUT(image, np.round(curve).astype(np.uint8))

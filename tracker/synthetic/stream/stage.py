@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -14,7 +14,7 @@ from .clamps import clamp, reach
 from .coat import coat
 from .exposure import light_map, taken
 from .laying import Layer, laid
-from .look import Look, Place
+from .look import Light, Look, Place
 from .paint import Shade, axes, curve
 from .things import Painter
 
@@ -101,18 +101,20 @@ class Stage:
         self._occlude(picture, cover)
         rng = np.random.default_rng([look.scene.seed, 9, noise_seed])
         return self._with_truth(
-            taken(picture, self._lit, look.light, look.sensor, rng, self._wander(moment)),
+            taken(picture, self._lit, self._light_at(moment), look.sensor, rng),
             (cover, clamped),
             chains[-1],
             layers[-1],
         )
 
-    def _wander(self, moment: float | None) -> float:
-        """By which factor the exposure differs from what was set: up and down a few times during the film."""
+    def _light_at(self, moment: float | None) -> Light:
+        """The look's light, its exposure up and down a few times during the film."""
+        light = self.look.light
         if moment is None:
-            return 1.0
+            return light
         times, phase = np.random.default_rng([self.look.scene.seed, 10]).uniform((0.7, 0.0), (3.0, 1.0))
-        return float(1 + self.look.light.drift * np.sin(2 * np.pi * (times * moment + phase)))
+        wander = 1 + light.drift * np.sin(2 * np.pi * (times * moment + phase))
+        return replace(light, gain=light.gain * float(wander))
 
     def _with_truth(
         self,
