@@ -73,6 +73,8 @@ def counterparts(
     {'nail': 'tip_2', 'root': 'base_1'}
     >>> counterparts(["nail", "wrist", "neck", "root"], [*ENDS], {"nail": "tip_2"})
     {'root': 'base_1', 'neck': 'base_2', 'wrist': 'tip_1', 'nail': 'tip_2'}
+    >>> counterparts(["a", "b", "c", "d", "e"], [*ENDS], {"c": "tip_1"})
+    {'c': 'tip_1'}
     >>> counterparts(["tip_2", "ear"], ["tip_1", "tip_2"])
     {'tip_2': 'tip_2'}
     """
@@ -85,7 +87,7 @@ def counterparts(
     for chain in (keypoints, keypoints[::-1]):
         placed = {**dict(zip((*chain[:2], *chain[-2:]), ENDS, strict=True)), **told}
         ends = [placed[name] for name in (*chain[:2], *chain[-2:])]
-        if ends == list(ENDS):
+        if ends == list(ENDS) and len(set(placed.values())) == len(placed):
             return placed
     return told
 
