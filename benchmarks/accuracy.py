@@ -20,8 +20,8 @@ import numpy as np
 from rendered import LabelledTrial, labelled_trial, rms
 
 from bendtrack.models.detector import NetworkDetector
-from bendtrack.models.learning.settings import TrainingSettings
-from bendtrack.models.learning.training import train
+from bendtrack.models.training.settings import TrainingSettings
+from bendtrack.models.training.trainer import train
 from bendtrack.tracker.angle import end_vector_px, label_noise_floor_deg
 from bendtrack.tracker.tracking import track
 

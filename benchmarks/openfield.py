@@ -21,8 +21,8 @@ from bendtrack.labeling.interop.dlc_export import export_dlc
 from bendtrack.labeling.store import LabelStore
 from bendtrack.models.detector import NetworkDetector
 from bendtrack.models.evaluation import evaluate
-from bendtrack.models.learning.settings import TrainingSettings
-from bendtrack.models.learning.training import Progress, train
+from bendtrack.models.training.settings import TrainingSettings
+from bendtrack.models.training.trainer import Progress, train
 from bendtrack.tracker.results import read_results, write_results
 from bendtrack.tracker.tracking import track
 

@@ -37,9 +37,9 @@ from rendered import LabelledTrial, labelled_trial, rms
 
 from bendtrack.labeling.interop.dlc import export_dlc
 from bendtrack.models.detector import NetworkDetector
-from bendtrack.models.engine import build_beside
-from bendtrack.models.learning.settings import TrainingSettings
-from bendtrack.models.learning.training import train
+from bendtrack.models.export import build_beside
+from bendtrack.models.training.settings import TrainingSettings
+from bendtrack.models.training.trainer import train
 from bendtrack.tracker.angle import bending_angle
 from bendtrack.tracker.project import Project
 from bendtrack.tracker.results import write_results
@@ -112,11 +112,11 @@ def speeds(case: Case, rounds: int) -> dict[str, FloatArray]:
 
     whole()
     works = {"decoding alone": decode, f"decode to CSV ({detector.engine})": whole}
-    taken: dict[str, list[float]] = {name: [] for name in works}
+    mapping: dict[str, list[float]] = {name: [] for name in works}
     for _ in range(rounds):
         for name, work in works.items():
-            taken[name].append(frames_per_s(work))
-    return {name: np.array(values) for name, values in taken.items()}
+            mapping[name].append(frames_per_s(work))
+    return {name: np.array(values) for name, values in mapping.items()}
 
 
 @dataclass(frozen=True)
@@ -235,10 +235,10 @@ def report(folder: Path, size_wh: tuple[int, int], backbone: str, args: argparse
     case = prepared(folder, size_wh, backbone, args)
     print(f"\n{size_wh[0]} x {size_wh[1]} H.264, {len(case.made.trial.time_s)} frames, {backbone}")
     print(f"  training                 {case.train_minutes:.1f} minutes")
-    taken = speeds(case, args.rounds)
-    for name, values in taken.items():
+    mapping = speeds(case, args.rounds)
+    for name, values in mapping.items():
         print(f"  {name:34s} {spread(values, 1)} frames/s")
-    alone, whole = taken.values()
+    alone, whole = mapping.values()
     print(f"  ratio to decoding alone            {spread(whole / alone, 3)}")
     changed = drift(case)
     print(f"  drift from float32                 {changed.px:.3f} px and {changed.deg:.3f} degrees RMS")

@@ -25,12 +25,12 @@ _WARM_UP = 20
 
 def milliseconds(works: Sequence[Callable[[], object]]) -> FloatArray:
     """Wall and processor time of each, (N, 2) ms."""
-    taken = []
+    mapping = []
     for work in works:
         begun = time.perf_counter(), time.process_time()
         work()
-        taken.append((time.perf_counter() - begun[0], time.process_time() - begun[1]))
-    return 1e3 * np.array(taken)
+        mapping.append((time.perf_counter() - begun[0], time.process_time() - begun[1]))
+    return 1e3 * np.array(mapping)
 
 
 def line(name: str, taken_ms: FloatArray) -> str:

@@ -24,8 +24,8 @@ import pandas as pd
 from bendtrack.labeling.interop.dlc import import_dlc, project_for
 from bendtrack.labeling.store import LabelStore
 from bendtrack.models.detector import NetworkDetector
-from bendtrack.models.learning.settings import TrainingSettings
-from bendtrack.models.learning.training import train
+from bendtrack.models.training.settings import TrainingSettings
+from bendtrack.models.training.trainer import train
 from bendtrack.tracker.angle import end_vector_px, label_noise_floor_deg
 from bendtrack.tracker.errors import BendtrackError
 from bendtrack.tracker.project import Project

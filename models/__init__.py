@@ -20,22 +20,22 @@ if __name__ != "bendtrack.models":
 sys.modules["openvino_telemetry"] = None  # type: ignore[assignment]
 
 if TYPE_CHECKING:
-    from .checkpoint import Checkpoint, load_checkpoint
     from .cross_validation import cross_validate
     from .detector import NetworkDetector
     from .evaluation import Evaluation, evaluate
-    from .learning.settings import TrainingSettings
-    from .learning.training import train
+    from .networks.checkpoint import Checkpoint, load_checkpoint
+    from .training.settings import TrainingSettings
+    from .training.trainer import train
 
 _HOMES = {
-    "Checkpoint": "checkpoint",
+    "Checkpoint": "networks.checkpoint",
     "Evaluation": "evaluation",
     "NetworkDetector": "detector",
-    "TrainingSettings": "learning.settings",
+    "TrainingSettings": "training.settings",
     "cross_validate": "cross_validation",
     "evaluate": "evaluation",
-    "load_checkpoint": "checkpoint",
-    "train": "learning.training",
+    "load_checkpoint": "networks.checkpoint",
+    "train": "training.trainer",
 }
 
 __all__ = [

@@ -14,9 +14,9 @@ from ..tracker.angle import AngleDefinition
 from ..tracker.errors import TrainingError
 from ..tracker.types import LabelledFrame
 from .evaluation import Evaluation, evaluate
-from .finding.finder import joined
-from .learning.settings import TrainingSettings
-from .learning.training import Progress, train
+from .inference.coarse_to_fine import concatenated
+from .training.settings import TrainingSettings
+from .training.trainer import Progress, train
 
 
 def cross_validate(
@@ -67,7 +67,7 @@ def cross_validate(
         evaluations.append(evaluate(checkpoint, left_out))
     return Evaluation(
         [frame for evaluation in evaluations for frame in evaluation.frames],
-        joined([evaluation.found for evaluation in evaluations]),
+        concatenated([evaluation.found for evaluation in evaluations]),
         tuple(keypoints),
         definition,
         n_trained=round(len(labelled) * (folds - 1) / folds),

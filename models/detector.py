@@ -17,13 +17,13 @@ from typing import Any
 from ..tracker.errors import CheckpointError
 from ..tracker.types import Detections, Frames
 from ..tracker.video import file_sha256
-from .compiled import ENGINES, compiled_finder, engine_record
-from .finding.finder import Finder
-from .finding.following import Follower
-from .finding.header import Header, read_header, weights_file
-from .finding.mirrored import MirroredReader
-from .finding.regions import WorkingRegion
-from .finding.sighting import sight
+from .inference.coarse_to_fine import CoarseToFineEstimator
+from .inference.metadata import CheckpointMetadata, read_metadata, weights_file
+from .inference.roi import RegionOfInterest
+from .inference.runtime import ENGINES, compiled_estimator, engine_record
+from .inference.tracking import KeypointTracker
+from .inference.tta import FlipAugmentedPredictor
+from .localization.localize import find_actuator
 
 TORCH = "torch"
 CHOICES = ("auto", *ENGINES, TORCH)
@@ -55,8 +55,8 @@ class NetworkDetector:
     def __init__(
         self,
         name: str,
-        header: Header,
-        finder: Finder,
+        header: CheckpointMetadata,
+        finder: CoarseToFineEstimator,
         *,
         file: Path,
         sha256: str,
@@ -109,7 +109,7 @@ class NetworkDetector:
             The checkpoint cannot be read, or the engine or the device asked for is not there.
         """
         file = weights_file(path)
-        header = read_header(file)
+        header = read_metadata(file)
         sha256 = file_sha256(file)
         device = _device(device if engine in ("auto", TORCH) else "cpu")
         record = None if device == "cuda" or engine == TORCH else engine_record(file, sha256)
@@ -125,7 +125,7 @@ class NetworkDetector:
             threads = threads or (min(cores(), SOONEST_CORES) if soonest else cores())
             workers = 1 if soonest else threads
             ends = record["ends"] if record else []
-            finder = compiled_finder(file, engine, ends, workers, threads, header.peaks)
+            finder = compiled_estimator(file, engine, ends, workers, threads, header.peaks)
         return cls(
             file.resolve().parent.name,
             header,
@@ -171,15 +171,15 @@ class NetworkDetector:
         """Keypoints of frames of one size, each found by itself."""
         h, w = frames[0].shape[:2]
         region = self.header.region_for((w, h))
-        return self.believed(self._finder.detect(frames, region, self.header.partner), region)
+        return self.believed(self._finder.detect(frames, region, self.header.reference), region)
 
-    def believed(self, found: Detections, region: WorkingRegion) -> Detections:
+    def believed(self, found: Detections, region: RegionOfInterest) -> Detections:
         """What the networks found in frames of a region, calibrated, and what a video tells besides."""
         found = self.header.calibrated(found, region)
         return found if self._told is None else self._told(found)
 
     def for_video(
-        self, glimpses: Frames, progress: Callable[[int, int | None], None] | None = None
+        self, probe_frames: Frames, progress: Callable[[int, int | None], None] | None = None
     ) -> NetworkDetector:
         """This network for one video in which nobody has labelled anything, from frames spread over it.
 
@@ -196,12 +196,12 @@ class NetworkDetector:
         VideoError
             No actuator can be seen.
         """
-        both_ways = replace(self._finder, refine=MirroredReader(self._finder.refine))
+        both_ways = replace(self._finder, refine=FlipAugmentedPredictor(self._finder.refine))
         closer = taught = None
         if self.header.pretrained:
-            from .unlabelled import Unlabelled
+            from .adaptation.adapt import VideoAdaptation
 
-            own = Unlabelled(
+            own = VideoAdaptation(
                 file=self.file,
                 header=self.header,
                 before=both_ways,
@@ -212,7 +212,7 @@ class NetworkDetector:
                 progress=progress,
             )
             closer, taught = own.closer, own.taught if self.learns else None
-        seen = sight(glimpses, self.header, both_ways, closer, taught)
+        seen = find_actuator(probe_frames, self.header, both_ways, closer, taught)
         return NetworkDetector(
             self.name,
             seen.header,
@@ -246,7 +246,7 @@ class NetworkDetector:
         """A detector for consecutive frames, fresh."""
         if not self._follows:
             return self
-        return FollowingDetector(self, Follower(self._finder, self.header, self.believed))
+        return FollowingDetector(self, KeypointTracker(self._finder, self.header, self.believed))
 
     @property
     def _follows(self) -> bool:
@@ -259,7 +259,7 @@ class FollowingDetector:
 
     batch_size = 1
 
-    def __init__(self, own: NetworkDetector, follower: Follower) -> None:
+    def __init__(self, own: NetworkDetector, follower: KeypointTracker) -> None:
         self.keypoints = own.keypoints
         self.provenance = own.provenance
         self.detect = follower.detect
@@ -283,10 +283,10 @@ def _device(wanted: str) -> str:
     return "cpu"
 
 
-def _torch_finder(file: Path, device: str, threads: int | None) -> Finder:
+def _torch_finder(file: Path, device: str, threads: int | None) -> CoarseToFineEstimator:
     import torch
 
-    from .checkpoint import load_checkpoint
+    from .networks.checkpoint import load_checkpoint
 
     if threads is not None:
         torch.set_num_threads(threads)

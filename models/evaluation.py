@@ -1,6 +1,6 @@
 """How far a network is from labels: px and degrees, per keypoint and actuator, on frames it has not trained on.
 
-The figures are drawn in `evaluation_figures.py`.
+The figures are drawn in `figures.py`.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from ..tracker.angle import AngleDefinition, bending_angle, end_vector_px, label
 from ..tracker.atomic import atomic_write_text
 from ..tracker.errors import LabelError
 from ..tracker.types import Detections, FloatArray, LabelledFrame
-from .checkpoint import Checkpoint
-from .finding.finder import joined
-from .learning.dataset import read_image
+from .data.images import frame_id, read_image
+from .inference.coarse_to_fine import concatenated
+from .networks.checkpoint import Checkpoint
 
 
 @dataclass(frozen=True)
@@ -112,18 +112,13 @@ def evaluate(
         if progress:
             progress(i + 1, len(frames))
     trained = len(checkpoint.training.get("trained_on", []))
-    return Evaluation(frames, joined(found), checkpoint.keypoints, checkpoint.definition, trained)
+    return Evaluation(frames, concatenated(found), checkpoint.keypoints, checkpoint.definition, trained)
 
 
 def not_trained_on(checkpoint: Checkpoint, frames: Sequence[LabelledFrame]) -> list[LabelledFrame]:
     """The frames that a checkpoint has not seen: held out in its training, or labelled since."""
     trained = set(checkpoint.training.get("trained_on", []))
     return [frame for frame in frames if frame_id(frame) not in trained]
-
-
-def frame_id(frame: LabelledFrame) -> str:
-    """What a labelled frame is called in a checkpoint: its folder and picture."""
-    return f"{frame.video}/{frame.image_path.name}"
 
 
 def write_evaluation(evaluation: Evaluation, path: Path, **more: Any) -> dict[str, Any]:

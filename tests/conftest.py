@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 from bendtrack.labeling.store import LabelStore, image_name
-from bendtrack.models.engine import build_beside
+from bendtrack.models.export import build_beside
 from bendtrack.tracker.cli import app
 from bendtrack.tracker.project import Project
 from bendtrack.tracker.video_writer import VideoWriter

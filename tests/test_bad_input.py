@@ -15,7 +15,7 @@ import av
 import numpy as np
 import pytest
 
-from bendtrack.models.learning.initialisation import imagenet_file
+from bendtrack.models.networks.initialisation import imagenet_file
 from bendtrack.tracker.project import Project
 from bendtrack.tracker.results import read_results
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from safetensors.torch import load_file
 
-from bendtrack.models.learning.training_state import STATE_FILE
+from bendtrack.models.training.state import STATE_FILE
 from bendtrack.tracker.project import Project
 
 FILES = {

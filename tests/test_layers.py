@@ -85,12 +85,12 @@ def test_imports_follow_the_star(name: str, path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "path"),
-    [m for m in modules() if m[0].startswith("models.finding")],
+    [m for m in modules() if m[0].startswith("models.inference")],
     ids=lambda value: str(value),
 )
 def test_finding_knows_no_network(name: str, path: Path) -> None:
     for imported in imports(name, path):
-        assert ours(imported) != "models" or imported.startswith("bendtrack.models.finding"), imported
+        assert ours(imported) != "models" or imported.startswith("bendtrack.models.inference"), imported
         assert imported.split(".")[0] not in {"torch", "torchvision"}, imported
 
 

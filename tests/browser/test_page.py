@@ -13,7 +13,7 @@ from desk import KEYPOINTS
 from playwright.sync_api import expect
 
 from bendtrack.labeling.store import LabelStore, image_name
-from bendtrack.models.checkpoint import load_checkpoint
+from bendtrack.models.networks.checkpoint import load_checkpoint
 from bendtrack.tracker.angle import DEFINITIONS, AngleDefinition, bending_angle
 from bendtrack.tracker.project import Project
 

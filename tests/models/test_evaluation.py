@@ -12,8 +12,8 @@ import pytest
 
 from bendtrack.models.cross_validation import cross_validate, fold_of_each
 from bendtrack.models.evaluation import Evaluation, write_evaluation
-from bendtrack.models.evaluation_figures import write_figures
-from bendtrack.models.learning.settings import TrainingSettings
+from bendtrack.models.figures import write_figures
+from bendtrack.models.training.settings import TrainingSettings
 from bendtrack.tracker.angle import AngleDefinition
 from bendtrack.tracker.errors import TrainingError
 from bendtrack.tracker.types import Detections, LabelledFrame

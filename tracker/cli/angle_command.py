@@ -46,7 +46,7 @@ def angle(
     of it everywhere, it learns it first, from the frames in which it is: about a minute on two cores. Writes what
     `track` writes. Exit status 1 when in some video none can be seen; thirty labels are more exact.
     """
-    from ...models.shipped import working_copy
+    from ...models.networks.shipped import working_copy
 
     paths = listed_videos(videos)
     check_writable(out)

@@ -118,7 +118,7 @@ def _compare(table: AngleTable, truth_path: Path, network: Path) -> None:
     import numpy as np
     import pandas as pd
 
-    from ...models.finding.header import read_header
+    from ...models.inference.metadata import read_metadata
     from ..angle import end_vector_px, label_noise_floor_deg
 
     truth = pd.read_csv(truth_path)
@@ -130,7 +130,7 @@ def _compare(table: AngleTable, truth_path: Path, network: Path) -> None:
     exact = truth[columns].to_numpy().reshape(len(truth), -1, 2)
     floor = label_noise_floor_deg(
         _LABEL_NOISE_PX,
-        len(read_header(network).training["trained_on"]),
+        len(read_metadata(network).training["trained_on"]),
         end_vector_px(exact, table.keypoints, table.definition),
     )
     angle = truth["angle_deg"]

@@ -32,10 +32,10 @@ def doctor() -> None:
     """Say what is installed and what would be used."""
     import torch
 
-    from ...models.checkpoint import best_device
-    from ...models.learning.initialisation import imagenet_file, resolve_init
-    from ...models.learning.settings import TrainingSettings
-    from ...models.shipped import actuator_file
+    from ...models.networks.checkpoint import best_device
+    from ...models.networks.initialisation import imagenet_file, resolve_init
+    from ...models.networks.shipped import actuator_file
+    from ...models.training.settings import TrainingSettings
     from .demo_command import sample_folder
 
     lines: list[tuple[str, str]] = [

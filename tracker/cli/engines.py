@@ -36,16 +36,16 @@ def load_network(
 
     The arguments are those of `NetworkDetector.load`.
     """
-    from ...models.compiled import ENGINES, engine_record
     from ...models.detector import CHOICES, DEVICES, NetworkDetector
-    from ...models.finding.header import read_header, weights_file
+    from ...models.inference.metadata import read_metadata, weights_file
+    from ...models.inference.runtime import ENGINES, engine_record
     from ..video import file_sha256
 
     for option, value, choices in (("--engine", engine, CHOICES), ("--device", device, DEVICES)):
         if value not in choices:
             raise BendtrackError(f"{option}: expected {', '.join(choices)}, got '{value}'")
     file = weights_file(folder)
-    read_header(file)  # a file that is no network is not compiled
+    read_metadata(file)  # a file that is no network is not compiled
     on_cpu = device == "cpu" or engine in ENGINES or not NetworkDetector.gpu_is_likely()
     if on_cpu and engine != "torch" and engine_record(file, file_sha256(file)) is None:
         _compile(folder)
@@ -70,7 +70,7 @@ def measured_angle(project: Project, network: NetworkDetector) -> AngleDefinitio
 
 def _compile(folder: Path) -> None:
     """Build the fast engines of a network beside it, and say what they change."""
-    from ...models.engine import build_beside
+    from ...models.export import build_beside
 
     talk.say(f"Compiling '{folder.name}' for the CPU (once)")
     try:

@@ -80,7 +80,7 @@ def _network(project: Project, name: str | None) -> Network | None:
         if name is not None:
             raise
         return None
-    from ...models.finding.header import WEIGHTS_FILE
+    from ...models.inference.metadata import WEIGHTS_FILE
     from ..video import file_sha256
 
     def load() -> Detector:

@@ -25,7 +25,7 @@ _DEFAULT_NAME = "model"
 
 def finished(project: Project) -> list[Path]:
     """Folders of the finished networks, the newest last."""
-    from ...models.finding.header import WEIGHTS_FILE
+    from ...models.inference.metadata import WEIGHTS_FILE
 
     found = [path for path in _folders(project) if (path / WEIGHTS_FILE).is_file()]
     return sorted(found, key=lambda path: ((path / WEIGHTS_FILE).stat().st_mtime_ns, path.name))
@@ -33,8 +33,8 @@ def finished(project: Project) -> list[Path]:
 
 def unfinished(project: Project) -> list[Path]:
     """Folders of the trainings that can go on, the latest last."""
-    from ...models.finding.header import WEIGHTS_FILE
-    from ...models.learning.training_state import STATE_FILE
+    from ...models.inference.metadata import WEIGHTS_FILE
+    from ...models.training.state import STATE_FILE
 
     found = [
         path

@@ -16,9 +16,9 @@ from . import model_folders, talk
 from .project_commands import ProjectArgument
 
 if TYPE_CHECKING:
-    from ...models.checkpoint import Checkpoint
     from ...models.evaluation import Evaluation
-    from ...models.learning.settings import TrainingSettings
+    from ...models.networks.checkpoint import Checkpoint
+    from ...models.training.settings import TrainingSettings
     from ..project import Project
     from ..types import LabelledFrame
 
@@ -88,9 +88,9 @@ def evaluate(
 
     In px for every keypoint, in degrees for the angle; also figures, and the frames that went worst.
     """
-    from ...models.checkpoint import load_checkpoint
     from ...models.cross_validation import cross_validate
     from ...models.evaluation import not_trained_on
+    from ...models.networks.checkpoint import load_checkpoint
     from ..project import Project
     from . import progress_bars
 
@@ -137,8 +137,8 @@ def evaluate(
 
 
 def project_settings(project: Project, given: dict[str, Any]) -> TrainingSettings:
-    """Training settings: as given, else as in bendtrack.toml, else the defaults of `models.learning.settings`."""
-    from ...models.learning.settings import TrainingSettings
+    """Training settings: as given, else as in bendtrack.toml, else the defaults of `models.training.settings`."""
+    from ...models.training.settings import TrainingSettings
 
     stored = {k: v for k, v in project.settings.training.model_dump().items() if v is not None}
     # A weights file named in bendtrack.toml lies where the project says, from wherever it is called.
@@ -157,8 +157,8 @@ def train_network(
     How the network does on the frames that were held out; None without any.
     """
     from ...models.evaluation import not_trained_on
-    from ...models.learning.training import train
-    from ...models.learning.training_state import STATE_FILE
+    from ...models.training.state import STATE_FILE
+    from ...models.training.trainer import train
     from . import progress_bars
 
     frames = _labels(project, project.keypoints)
@@ -297,7 +297,7 @@ _SHORT_END_PX = 40
 
 def _write(evaluation: Evaluation, folder: Path, rows: list[dict[str, float]], **more: Any) -> None:
     from ...models.evaluation import write_evaluation
-    from ...models.evaluation_figures import write_figures
+    from ...models.figures import write_figures
 
     folder.mkdir(parents=True, exist_ok=True)
     write_evaluation(evaluation, folder / "evaluation.json", **more)
@@ -335,7 +335,7 @@ def _definition(project: Project, frames: list[LabelledFrame]) -> Any:
 
 
 def _say_start(settings: TrainingSettings) -> None:
-    from ...models.learning.initialisation import resolve_init
+    from ...models.networks.initialisation import resolve_init
 
     start = resolve_init(settings.init, settings.backbone)
     words = f"Start: {settings.backbone} with {start} weights"
@@ -345,7 +345,7 @@ def _say_start(settings: TrainingSettings) -> None:
 
 
 def _stored_settings(folder: Path, given: dict[str, Any]) -> TrainingSettings:
-    from ...models.learning.settings import TrainingSettings
+    from ...models.training.settings import TrainingSettings
 
     path = folder / model_folders.SETTINGS_FILE
     try:

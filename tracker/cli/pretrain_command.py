@@ -63,10 +63,10 @@ def pretrain(
     Many hours on two cores, minutes on a GPU with many; can be stopped at any time.
     `train --init OUT/weights.safetensors` starts from what came of it, finished or not.
     """
-    from ...models.finding.header import WEIGHTS_FILE
-    from ...models.learning.pretraining import pretrain as run
-    from ...models.learning.pretraining import usual_settings
-    from ...models.learning.training_state import STATE_FILE
+    from ...models.inference.metadata import WEIGHTS_FILE
+    from ...models.pretraining.pretrainer import pretrain as run
+    from ...models.pretraining.pretrainer import usual_settings
+    from ...models.training.state import STATE_FILE
     from . import progress_bars
 
     if not resume and (out / STATE_FILE).is_file():

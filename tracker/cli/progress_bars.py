@@ -15,7 +15,7 @@ from rich.text import Text
 from . import talk
 
 if TYPE_CHECKING:
-    from ...models.learning.training import Progress
+    from ...models.training.trainer import Progress
 
 
 class _Rate(ProgressColumn):

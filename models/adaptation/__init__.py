@@ -1,0 +1,1 @@
+"""Fitting a network to one video without labels: self-training and prediction averaging."""

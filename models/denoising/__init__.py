@@ -1,0 +1,1 @@
+"""Positions to train on: the labels minus the noise of the hand that clicked them."""

@@ -1,0 +1,124 @@
+"""Pictures of an evaluation: the learning curve, the spread of the errors, and the frames that went worst.
+
+matplotlib through its object interface only: no global state, no display.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from ..tracker.atomic import atomic_path
+from ..tracker.types import FloatArray
+from .data.images import read_image
+from .evaluation import Evaluation
+
+WORST_FRAMES = 6
+
+_LABEL, _FOUND = "#0072B2", "#D55E00"
+"""Okabe & Ito's blue and vermilion: told apart by everyone, and by shape besides (ring and cross)."""
+
+
+def write_figures(evaluation: Evaluation, rows: Sequence[dict[str, float]], folder: Path) -> list[Path]:
+    """Write learning-curve.png (when there are `rows` of training.csv), errors.png and worst-frames.png.
+
+    Returns
+    -------
+    the files written
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    figures = {"errors.png": _errors(evaluation), "worst-frames.png": _worst(evaluation)}
+    if rows:
+        figures["learning-curve.png"] = _learning_curve(rows)
+    for name, figure in figures.items():
+        with atomic_path(folder / name) as temporary:
+            figure.savefig(temporary, dpi=150, format="png")
+    return [folder / name for name in figures]
+
+
+def _figure(width: float, height: float) -> Figure:
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _learning_curve(rows: Sequence[dict[str, float]]) -> Figure:
+    figure = _figure(7, 3.2)
+    left, right = figure.subplots(1, 2)
+    step = [row["step"] for row in rows]
+    left.plot(step, [row["loss"] for row in rows], color="0.2")
+    left.set(title="Training loss", xlabel="step", ylabel="loss", yscale="log")
+    px = np.array([row["held_out_px"] for row in rows], dtype=float)
+    right.plot(step, px, color=_LABEL, marker="o", markersize=3)
+    right.set(title="Held-out frames", xlabel="step", ylabel="distance from labels (px RMS)", yscale="log")
+    if np.isnan(px).all():
+        right.text(0.5, 0.5, "no frames held out", ha="center", transform=right.transAxes)
+    for axes in (left, right):
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.grid(alpha=0.25, which="both")
+    return figure
+
+
+def _errors(evaluation: Evaluation) -> Figure:
+    figure = _figure(7, 3.2)
+    left, right = figure.subplots(1, 2, width_ratios=(3, 2))
+    for k, name in enumerate(evaluation.keypoints):
+        left.step(*_cumulative(evaluation.error_px[:, k]), where="post", label=name)
+    left.set(title="Keypoints", xlabel="distance from label (px)", ylabel="share of frames", xlim=(0, None))
+    left.legend(frameon=False, fontsize="small")
+    right.step(*_cumulative(np.abs(evaluation.angle_error_deg)), where="post", color="0.2")
+    right.set(title="Bending angle", xlabel="difference from label (deg)", xlim=(0, None))
+    for axes in (left, right):
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.grid(alpha=0.25)
+        axes.set_ylim(0, 1.02)
+    return figure
+
+
+def _cumulative(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The share of the known values that are at most x, as a staircase from (0, 0)."""
+    known = np.sort(values[~np.isnan(values)])
+    return np.concatenate([[0.0], known]), np.arange(len(known) + 1) / max(len(known), 1)
+
+
+def _worst(evaluation: Evaluation) -> Figure:
+    error = np.nan_to_num(evaluation.error_px, nan=-1.0).max(axis=1)
+    order = np.argsort(-error)[:WORST_FRAMES]
+    columns = min(3, len(order))
+    lines = -(-len(order) // columns)
+    figure = _figure(3.4 * columns, 2.9 * lines + 0.4)
+    cells = figure.subplots(lines, columns, squeeze=False).ravel()
+    for axes in cells:
+        axes.set_axis_off()
+    for axes, i in zip(cells, order, strict=False):
+        frame = evaluation.frames[i]
+        labels, found = evaluation.labels[i], evaluation.found.xy[i]
+        picture = read_image(frame)
+        left, top, right, bottom = _around(np.vstack([labels, found]), picture.shape[1::-1])
+        axes.imshow(
+            picture[top:bottom, left:right], extent=(left - 0.5, right - 0.5, bottom - 0.5, top - 0.5)
+        )
+        axes.plot(*labels.T, "o", mec=_LABEL, mfc="none", ms=8, mew=1.6, label="label")
+        axes.plot(*found.T, "x", color=_FOUND, ms=7, mew=1.6, label="found")
+        worst = int(np.nanargmax(np.nan_to_num(evaluation.error_px[i], nan=-1.0)))
+        axes.set_title(
+            f"{frame.video}/{frame.image_path.name}\n{evaluation.keypoints[worst]} {error[i]:.1f} px off",
+            fontsize="small",
+        )
+    handles, names = cells[0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=2, frameon=False, fontsize="small")
+    return figure
+
+
+def _around(points: FloatArray, size_wh: Sequence[int]) -> tuple[int, int, int, int]:
+    """The part of the picture that holds all points, with room: left, top, right, bottom."""
+    points = points[~np.isnan(points).any(axis=1)]
+    low, high = points.min(axis=0), points.max(axis=0)
+    room = max(24.0, 0.25 * float((high - low).max()))
+    left, top = np.maximum(np.floor(low - room), 0).astype(int).tolist()
+    right, bottom = np.minimum(np.ceil(high + room), size_wh).astype(int).tolist()
+    return left, top, max(right, left + 2), max(bottom, top + 2)

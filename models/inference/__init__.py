@@ -1,0 +1,1 @@
+"""From frames to keypoints with trained networks: crops, coarse to fine, tracking, calibration. Imports no torch."""

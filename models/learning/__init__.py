@@ -1,1 +1,0 @@
-"""How networks learn: from a study's labelled frames, and before that from rendered actuators."""

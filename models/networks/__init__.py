@@ -1,0 +1,1 @@
+"""The networks themselves, their weights and their checkpoints."""

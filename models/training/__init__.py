@@ -1,0 +1,1 @@
+"""Training a network on the labelled frames of a project."""
