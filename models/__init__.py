@@ -2,22 +2,15 @@
 
 The names in `__all__` are what other programs may build on. Each is loaded when it is first asked for: tracking with a
 compiled network needs no torch, and does not wait for it.
-
-What is measured with bendtrack is nobody else's business: OpenVINO and NNCF would report each use to their makers, the
-former as soon as it is imported. They do without where their package for that is not to be had, so from here on it is
-not, in the whole process.
 """
 
 from __future__ import annotations
 
-import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if __name__ != "bendtrack.models":
     raise ImportError(f"import this package as bendtrack.models, not as {__name__}")
-
-sys.modules["openvino_telemetry"] = None  # type: ignore[assignment]
 
 if TYPE_CHECKING:
     from .cross_validation import cross_validate

@@ -1,7 +1,7 @@
-"""A checkpoint as the Detector that `tracker.tracking.track` takes: with which engine, on which device.
+"""A checkpoint as the detector that `tracker.tracking.track` takes: with which engine, on which device.
 
-Torch is loaded only where it computes: on a GPU, where there is no compiled engine, or where an actuator is learnt that
-nobody has labelled.
+Torch is loaded only where it computes: on a GPU, where there is no compiled engine, or where a network is fitted to a
+video without labels.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import math
 import os
 import shutil
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +18,10 @@ from ..tracker.errors import CheckpointError
 from ..tracker.types import Detections, Frames
 from ..tracker.video import file_sha256
 from .inference.coarse_to_fine import CoarseToFineEstimator
+from .inference.crops import CropGeometry
 from .inference.metadata import CheckpointMetadata, read_metadata, weights_file
-from .inference.roi import RegionOfInterest
-from .inference.runtime import ENGINES, compiled_estimator, engine_record
+from .inference.runtime import ENGINES, EngineRecord, compiled_estimator, engine_record
+from .inference.stages import ALL_STAGES, StageSettings
 from .inference.tracking import KeypointTracker
 from .inference.tta import FlipAugmentedPredictor
 from .localization.localize import find_actuator
@@ -29,34 +30,50 @@ TORCH = "torch"
 CHOICES = ("auto", *ENGINES, TORCH)
 DEVICES = ("auto", "cpu", "cuda")
 
-STRETCH_FRAMES = 48
-"""Frames of 640 x 480 that are followed from one search, which takes as long as two or three of them."""
+CHUNK_FRAMES = 48
+"""Frames of 640 x 480 that are tracked from one search, which takes as long as tracking two or three of them."""
 
-LEAST_STRETCH_FRAMES = 8
+MIN_CHUNK_FRAMES = 8
+"""Frames of a chunk of the largest videos."""
 
-SOONEST_CORES = 4
-"""Cores that work on one frame together unless told otherwise: networks this small have little to share out."""
+LOW_LATENCY_CORES = 4
+"""Cores that share one frame in low-latency mode unless told otherwise: networks this small cannot use more."""
 
 
 class NetworkDetector:
     """Finds the keypoints of a checkpoint in frames (the `Detector` protocol of `tracker.types`).
 
-    Attributes
+    `load` makes one from a checkpoint.
+
+    Parameters
     ----------
-    name : of the folder that the checkpoint lies in
-    header : what the checkpoint means
-    engine : "openvino-int8", "openvino" or "torch"
-    device : "cpu" or "cuda"
-    file : the checkpoint's
-    sha256 : its hash
-    learns : whether `for_video` lets it learn the actuator where it is not sure of it everywhere
+    name : str
+        Of the folder that the checkpoint lies in.
+    metadata : CheckpointMetadata
+        What the checkpoint means.
+    estimator : CoarseToFineEstimator
+        Its networks.
+    file : Path
+        The checkpoint's file.
+    sha256 : str
+        Hash of that file.
+    engine : str
+        "openvino-int8", "openvino" or "torch".
+    device : str
+        "cpu" or "cuda".
+    workers : int
+        Chunks of a video that are tracked at once.
+    threads : int
+        Cores for the networks.
+    anchored : callable, optional
+        From calibrated detections to those anchored at the actuator of one video (`for_video`).
     """
 
     def __init__(
         self,
         name: str,
-        header: CheckpointMetadata,
-        finder: CoarseToFineEstimator,
+        metadata: CheckpointMetadata,
+        estimator: CoarseToFineEstimator,
         *,
         file: Path,
         sha256: str,
@@ -64,20 +81,18 @@ class NetworkDetector:
         device: str,
         workers: int = 1,
         threads: int = 1,
-        learns: bool = False,
-        told: Callable[[Detections], Detections] | None = None,
+        anchored: Callable[[Detections], Detections] | None = None,
     ) -> None:
         self.name = name
-        self.header = header
+        self.metadata = metadata
         self.file = file
         self.sha256 = sha256
         self.engine = engine
         self.device = device
-        self.learns = learns and header.pretrained
-        self._finder = finder
+        self._estimator = estimator
         self._workers = workers
         self._threads = threads
-        self._told = told
+        self._anchored = anchored
 
     @classmethod
     def load(
@@ -87,21 +102,27 @@ class NetworkDetector:
         engine: str = "auto",
         device: str = "auto",
         threads: int | None = None,
-        soonest: bool = False,
-        learns: bool = False,
+        low_latency: bool = False,
+        stages: StageSettings = ALL_STAGES,
     ) -> NetworkDetector:
         """Read a checkpoint file or folder.
 
         Parameters
         ----------
-        path : the file, or the folder that it lies in
-        engine : one of `CHOICES`. "auto" takes torch on a GPU, and on a CPU the fastest compiled engine that was
-            built (`engine.build`) and passed its check, or else torch.
-        device : one of `DEVICES`. "auto" takes a GPU when there is one.
-        threads : cores for the network; None takes all
-        soonest : whether all cores are to work on one frame, which is known sooner, and not each on one of its own,
-            which measures more frames
-        learns : whether `for_video` lets a pretrained network learn the actuator where it is not sure of it everywhere
+        path : Path
+            The file, or the folder that it lies in.
+        engine : str, optional
+            One of `CHOICES`. "auto" takes torch on a GPU, and on a CPU the fastest compiled engine that was built
+            (`export.build`) and passed its check, or else torch.
+        device : str, optional
+            One of `DEVICES`. "auto" takes a GPU when there is one.
+        threads : int, optional
+            Cores for the networks. Default: all.
+        low_latency : bool, optional
+            Whether all cores share one frame, whose result is known sooner, instead of one frame per core, which
+            measures more frames per second.
+        stages : StageSettings, optional
+            Which stages of inference run.
 
         Raises
         ------
@@ -109,51 +130,55 @@ class NetworkDetector:
             The checkpoint cannot be read, or the engine or the device asked for is not there.
         """
         file = weights_file(path)
-        header = read_metadata(file)
+        metadata = read_metadata(file)
         sha256 = file_sha256(file)
         device = _device(device if engine in ("auto", TORCH) else "cpu")
         record = None if device == "cuda" or engine == TORCH else engine_record(file, sha256)
-        passed = {} if record is None else {n: e for n, e in record["engines"].items() if e["passed"]}
         if engine == "auto":
-            engine = min(passed, key=lambda name: float(passed[name]["cpu_ms"]), default=TORCH)
-        if engine != TORCH and engine not in passed:
-            raise CheckpointError(_why_not(engine, record))
+            engine = (record.fastest if record else None) or TORCH
         if engine == TORCH:
-            workers, finder = 1, _torch_finder(file, device, threads)
+            workers, estimator = 1, _torch_estimator(file, device, threads, stages)
             threads = threads or cores()
         else:
-            threads = threads or (min(cores(), SOONEST_CORES) if soonest else cores())
-            workers = 1 if soonest else threads
-            ends = record["ends"] if record else []
-            finder = compiled_estimator(file, engine, ends, workers, threads, header.peaks)
+            if record is None or engine not in record.engines or not record.engines[engine].passed:
+                raise CheckpointError(_why_not(engine, record))
+            threads = threads or (min(cores(), LOW_LATENCY_CORES) if low_latency else cores())
+            workers = 1 if low_latency else threads
+            estimator = compiled_estimator(
+                file, engine, record.ends, workers, threads, metadata.candidates, stages
+            )
         return cls(
             file.resolve().parent.name,
-            header,
-            finder,
+            metadata,
+            estimator,
             file=file,
             sha256=sha256,
             engine=engine,
             device=device,
             workers=workers,
             threads=threads,
-            learns=learns,
         )
 
     @staticmethod
     def gpu_is_likely() -> bool:
-        """Whether torch is worth asking for a GPU: the driver's tool tells at once what torch needs seconds for."""
+        """Whether torch is worth asking for a GPU: the driver's tool answers at once, torch takes seconds."""
         return shutil.which("nvidia-smi") is not None
 
     @property
     def keypoints(self) -> tuple[str, ...]:
         """Names of the keypoints, in the order of the arrays."""
-        return self.header.keypoints
+        return self.metadata.keypoints
+
+    @property
+    def stages(self) -> StageSettings:
+        """Which stages of inference run."""
+        return self._estimator.stages
 
     @property
     def batch_size(self) -> int:
         """A CPU's caches hold the maps of a few frames; a GPU wants many, as long as the frames are small."""
         most = 64 if self.device == "cuda" else 4
-        largest = max(w * h for w, h in (region.frame_wh for region in self.header.regions))
+        largest = max(w * h for w, h in (region.frame_wh for region in self.metadata.regions))
         return max(1, min(most, most * 2 * 640 * 480 // largest))
 
     @property
@@ -161,109 +186,124 @@ class NetworkDetector:
         """What identifies the output for a video. A GPU changes what is found in a frame by rounding only."""
         return {
             "checkpoint_sha256": self.sha256,
-            "backbone": self.header.backbone,
+            "backbone": self.metadata.backbone,
             "engine": self.engine,
-            "follows": self._follows,
-            **({"learns": True} if self.learns else {}),
+            "follows": self._tracks,
+            "stages": asdict(self.stages),
         }
 
     def detect(self, frames: Frames) -> Detections:
-        """Keypoints of frames of one size, each found by itself."""
-        h, w = frames[0].shape[:2]
-        region = self.header.region_for((w, h))
-        return self.believed(self._finder.detect(frames, region, self.header.reference), region)
+        """Keypoints of frames of one size, each found by itself.
 
-    def believed(self, found: Detections, region: RegionOfInterest) -> Detections:
-        """What the networks found in frames of a region, calibrated, and what a video tells besides."""
-        found = self.header.calibrated(found, region)
-        return found if self._told is None else self._told(found)
+        Parameters
+        ----------
+        frames : sequence of ndarray of uint8, shape (H, W, 3)
+            RGB.
+
+        Returns
+        -------
+        Detections
+            (N, K), calibrated.
+        """
+        h, w = frames[0].shape[:2]
+        geometry = self.metadata.geometry_for((w, h))
+        return self.calibrated(self._estimator.detect(frames, geometry), geometry)
+
+    def calibrated(self, found: Detections, geometry: CropGeometry) -> Detections:
+        """Calibrated detections, anchored at the video's actuator after `for_video`."""
+        found = self.metadata.calibrated(found, geometry, self.stages)
+        return found if self._anchored is None else self._anchored(found)
 
     def for_video(
         self, probe_frames: Frames, progress: Callable[[int, int | None], None] | None = None
     ) -> NetworkDetector:
-        """This network for one video in which nobody has labelled anything, from frames spread over it.
+        """This network for one video without labels, from frames spread over it.
 
-        Where it learns the actuator, which takes about a minute on two cores, what it has learnt runs in float32
-        beside what it was, whatever the engine.
+        Where it is fitted to the video first (`StageSettings.self_training`), which takes about a minute on two cores,
+        the fitted networks run in float32, whatever the engine.
 
         Parameters
         ----------
-        glimpses : (N, H, W, 3) uint8 RGB
-        progress : called with the number of steps done and to be done where the network learns this actuator first
+        probe_frames : ndarray of uint8, shape (N, H, W, 3)
+            RGB.
+        progress : callable, optional
+            Called with the number of self-training steps done and to be done.
 
         Raises
         ------
         VideoError
             No actuator can be seen.
         """
-        both_ways = replace(self._finder, refine=FlipAugmentedPredictor(self._finder.refine))
-        closer = taught = None
-        if self.header.pretrained:
+        estimator = self._estimator
+        if self.stages.flip_augmentation:
+            estimator = replace(estimator, refiner=FlipAugmentedPredictor(estimator.refiner))
+        fit_ends = fit_network = None
+        if self.metadata.pretrained:
             from .adaptation.adapt import VideoAdaptation
 
-            own = VideoAdaptation(
+            adaptation = VideoAdaptation(
                 file=self.file,
-                header=self.header,
-                before=both_ways,
+                metadata=self.metadata,
+                source=estimator,
                 device=self.device,
                 compiled=self.engine != TORCH,
                 workers=self._workers,
                 threads=self._threads,
                 progress=progress,
             )
-            closer, taught = own.closer, own.taught if self.learns else None
-        seen = find_actuator(probe_frames, self.header, both_ways, closer, taught)
+            fit_ends = adaptation.fit_ends if self.stages.end_regression else None
+            fit_network = adaptation.fit_network if self.stages.self_training else None
+        actuator = find_actuator(probe_frames, self.metadata, estimator, fit_ends, fit_network)
         return NetworkDetector(
             self.name,
-            seen.header,
-            seen.finder,
+            actuator.metadata,
+            actuator.estimator,
             file=self.file,
             sha256=self.sha256,
             engine=self.engine,
             device=self.device,
             workers=self._workers,
             threads=self._threads,
-            learns=self.learns,
-            told=seen.believed,
+            anchored=actuator.anchored,
         )
 
     @property
     def workers(self) -> int:
-        """Stretches of a video at once: the network is small, so each takes one core."""
+        """Chunks of a video at once: the network is small, so each takes one core."""
         return self._workers
 
     def stretch_frames(self, size_wh: tuple[int, int], frames: int | None) -> int:
-        """Frames that are followed together, few enough that several stretches fit into memory."""
-        if not self._follows:
+        """Frames of a chunk that is tracked from one search, few enough that several chunks fit into memory."""
+        if not self._tracks:
             return self.batch_size
-        most = min(STRETCH_FRAMES, STRETCH_FRAMES * 640 * 480 // (size_wh[0] * size_wh[1]))
-        # A short video has two stretches, so that a second core has something to do. What is found depends on where
-        # stretches begin, so their number must not depend on the cores.
+        most = min(CHUNK_FRAMES, CHUNK_FRAMES * 640 * 480 // (size_wh[0] * size_wh[1]))
+        # A short video has two chunks, so that a second core has something to do. The result depends on where chunks
+        # begin, so their number must not depend on the cores.
         own = most if frames is None else min(most, math.ceil(frames / 2))
-        return max(LEAST_STRETCH_FRAMES, own)
+        return max(MIN_CHUNK_FRAMES, own)
 
-    def follow(self) -> NetworkDetector | FollowingDetector:
+    def follow(self) -> NetworkDetector | TrackingDetector:
         """A detector for consecutive frames, fresh."""
-        if not self._follows:
+        if not self._tracks:
             return self
-        return FollowingDetector(self, KeypointTracker(self._finder, self.header, self.believed))
+        return TrackingDetector(self, KeypointTracker(self._estimator, self.metadata, self.calibrated))
 
     @property
-    def _follows(self) -> bool:
+    def _tracks(self) -> bool:
         # A GPU is quicker with many frames at once, which can only be searched.
         return self.device != "cuda"
 
 
-class FollowingDetector:
-    """A `NetworkDetector` that follows the keypoints through consecutive frames."""
+class TrackingDetector:
+    """A `NetworkDetector` that tracks the keypoints through consecutive frames."""
 
     batch_size = 1
 
-    def __init__(self, own: NetworkDetector, follower: KeypointTracker) -> None:
+    def __init__(self, own: NetworkDetector, tracker: KeypointTracker) -> None:
         self.keypoints = own.keypoints
         self.provenance = own.provenance
-        self.detect = follower.detect
-        self.pass_over = follower.pass_over
+        self.detect = tracker.detect
+        self.pass_over = tracker.pass_over
 
 
 def cores() -> int:
@@ -283,24 +323,26 @@ def _device(wanted: str) -> str:
     return "cpu"
 
 
-def _torch_finder(file: Path, device: str, threads: int | None) -> CoarseToFineEstimator:
+def _torch_estimator(
+    file: Path, device: str, threads: int | None, stages: StageSettings
+) -> CoarseToFineEstimator:
     import torch
 
     from .networks.checkpoint import load_checkpoint
 
-    if threads is not None:
-        torch.set_num_threads(threads)
     checkpoint = load_checkpoint(file)
-    return checkpoint.network.to(torch.device(device)).finder(checkpoint.peaks)
+    network = checkpoint.network.to(torch.device(device))
+    return replace(network.estimator(checkpoint.candidates, threads), stages=stages)
 
 
-def _why_not(engine: str, record: Mapping[str, Any] | None) -> str:
+def _why_not(engine: str, record: EngineRecord | None) -> str:
     if record is None:
         return f"--engine {engine}: expected a compiled network, got none: `bendtrack train` builds it"
-    tried = record["engines"].get(engine)
-    if tried is None:
-        return f"--engine {engine}: expected labelled frames to fit it to when it was built, got too few"
+    if engine not in record.engines:
+        reason = record.skipped.get(engine, "it was not built")
+        return f"--engine {engine}: expected a compiled network, got none: {reason}"
+    check = record.engines[engine]
     return (
-        f"--engine {engine}: expected to stay within its limits, got {tried['drift_px']} px and"
-        f" {tried['drift_deg']} degrees of drift from float32"
+        f"--engine {engine}: expected to stay within its limits, got {check.drift_px} px and"
+        f" {check.drift_deg} degrees of drift from float32"
     )

@@ -1,8 +1,8 @@
-"""What is learnt of an actuator that nobody has labelled, from frames spread over its video, and put to work.
+"""Adaptation to one video without labels: what `localization.localize.find_actuator` asks a pretrained network for.
 
-Where the network is not sure of it everywhere, it learns it (`learning.self_training`). What is seen of the moving end
-is laid over each other (`learning.registration`), and from there it is learnt how it lies in closer pictures
-(`learning.alignment`), as in a training; only that no label says where it lies on average.
+Where the network is not sure of the actuator everywhere, it is fitted to the video (`self_training.py`). The moving
+end's crops are registered to each other (`denoising/registration.py`), and an end regressor is fitted to them
+(`denoising/end_regression.py`), as in a training; only that no label says where the end lies on average.
 """
 
 from __future__ import annotations
@@ -20,17 +20,18 @@ from ...tracker.types import BoolArray, FloatArray, Frames
 from ..data.prepared import prepare
 from ..denoising.end_regression import fit_end_regression
 from ..denoising.registration import register_ends, shipped_features
-from ..export import compiled_end_regressor, compiled_networks
 from ..inference.coarse_to_fine import CoarseToFineEstimator, EndRegressor
 from ..inference.metadata import CheckpointMetadata
 from ..inference.roi import RegionOfInterest
-from ..localization.localize import LEAST_SURE
+from ..localization.localize import MIN_SURE
 from ..localization.probe_frames import PseudoLabels
 from ..networks.checkpoint import load_checkpoint
+from ..networks.conversion import compiled_end_regressor, compiled_networks
 from ..networks.end_regressor import EndRegressionNetwork, TorchEndRegressor
 from ..networks.heatmap_network import FirstStage
+from ..networks.torch_threads import limited_threads
 from .averaging import AveragedPredictor
-from .self_training import alike, self_train
+from .self_training import self_train, typical_appearance
 
 SEED = 0
 """The same video is measured the same way again."""
@@ -38,21 +39,28 @@ SEED = 0
 
 @dataclass(frozen=True, kw_only=True)
 class VideoAdaptation:
-    """Learns a video's actuator for a pretrained network, as `finding.sighting.sight` asks for it.
+    """Fits a pretrained network to one video.
 
     Attributes
     ----------
-    file, header : the network's checkpoint, and what it means
-    before : the network at work before it has learnt anything
-    device : where torch computes
-    compiled : whether what is learnt is compiled for the CPU, or runs in torch
-    workers, threads : as `compiled.OpenVINOPredictor`'s
-    progress : called with the number of steps of a self-training done and to be done
+    file : Path
+        The network's checkpoint.
+    metadata : CheckpointMetadata
+    source : CoarseToFineEstimator
+        The network before adaptation.
+    device : str
+        Where torch computes.
+    compiled : bool
+        Whether fitted networks are compiled for the CPU, or run in torch.
+    workers, threads : int
+        As `OpenVINOPredictor`'s.
+    progress : callable or None
+        Called with the number of self-training steps done and to be done.
     """
 
     file: Path
-    header: CheckpointMetadata
-    before: CoarseToFineEstimator
+    metadata: CheckpointMetadata
+    source: CoarseToFineEstimator
     device: str
     compiled: bool
     workers: int
@@ -61,69 +69,99 @@ class VideoAdaptation:
 
     @cached_property
     def features(self) -> FirstStage:
-        """What ends are compared by."""
+        """The features that ends are compared by."""
         return shipped_features().to(self.device)
 
-    def taught(
-        self, probe_frames: Frames, examples: PseudoLabels, region: RegionOfInterest
+    def fit_network(
+        self, probe_frames: Frames, labels: PseudoLabels, region: RegionOfInterest
     ) -> CoarseToFineEstimator | None:
-        """A finder that has learnt the actuator, held back by what it was; None where there is too little to learn."""
-        torch.set_num_threads(self.threads)
-        right = alike(probe_frames, examples, region, self.features)
-        if right.sum() < LEAST_SURE:
-            return None
-        examples = replace(examples, right=right)
-        network = load_checkpoint(self.file).network.to(torch.device(self.device))
-        try:
-            network = self_train(
-                network, probe_frames, examples, region, self.header.reference, self.progress
-            )
-        except TrainingError:  # it measures as well as it can without
-            return None
-        if self.compiled:
-            finder = compiled_networks(network, self.header.peaks, self.workers, self.threads)
-        else:
-            finder = network.finder(self.header.peaks)
-        return replace(finder, refine=AveragedPredictor(finder.refine, self.before.refine))
+        """Self-train on the probe frames, and average with the source network.
 
-    def closer(
-        self, probe_frames: Frames, xy: FloatArray, same: BoolArray, region: RegionOfInterest
+        Parameters
+        ----------
+        probe_frames : ndarray of uint8, shape (N, H, W, 3)
+        labels : PseudoLabels
+        region : RegionOfInterest
+            Of frames of this size.
+
+        Returns
+        -------
+        CoarseToFineEstimator or None
+            None where there are too few pseudo-labels, or training fails.
+        """
+        with limited_threads(self.threads):
+            kept = typical_appearance(probe_frames, labels, region, self.features)
+            if kept.sum() < MIN_SURE:
+                return None
+            labels = replace(labels, positive=kept)
+            network = load_checkpoint(self.file).network.to(torch.device(self.device))
+            try:
+                network = self_train(
+                    network, probe_frames, labels, region, self.metadata.reference, self.progress
+                )
+            except TrainingError:  # the source network measures as well as it can
+                return None
+            candidates = self.metadata.candidates
+            if self.compiled:
+                estimator = compiled_networks(network, candidates, self.workers, self.threads)
+            else:
+                estimator = network.estimator(candidates)
+        averaged = AveragedPredictor(estimator.refiner, self.source.refiner)
+        return replace(estimator, refiner=averaged, stages=self.source.stages)
+
+    def fit_ends(
+        self, probe_frames: Frames, xy: FloatArray, inlier: BoolArray, region: RegionOfInterest
     ) -> tuple[FloatArray, EndRegressor | None]:
-        """`closer_look`, with an aligner at work."""
-        torch.set_num_threads(self.threads)
-        better, aligner = closer_look(probe_frames, xy, same, region, self.header.reference, self.features)
-        if aligner is None:
-            return better, None
-        if self.compiled:
-            return better, compiled_end_regressor(aligner, self.workers, self.threads)
-        return better, TorchEndRegressor(aligner)
+        """`register_and_fit`, with the regressor ready to run."""
+        with limited_threads(self.threads):
+            registered, network = register_and_fit(
+                probe_frames, xy, inlier, region, self.metadata.reference, self.features
+            )
+            if network is None:
+                return registered, None
+            if self.compiled:
+                return registered, compiled_end_regressor(network, self.workers, self.threads)
+        return registered, TorchEndRegressor(network)
 
 
-def closer_look(
+def register_and_fit(
     probe_frames: Frames,
     xy: FloatArray,
-    same: BoolArray,
+    inlier: BoolArray,
     region: RegionOfInterest,
     reference: Sequence[int],
     features: FirstStage,
 ) -> tuple[FloatArray, EndRegressionNetwork | None]:
-    """Positions with the moving end's laid over each other, and what tells how it lies; None where pictures do not.
+    """Register the moving end over the probe frames, and fit an end regressor to it.
 
     Parameters
     ----------
-    glimpses : (N, H, W, 3) uint8 RGB
-    xy : (N, K, 2) px, found in them; the last two keypoints are the moving end
-    same : (N,) bool, the frames that count; in the others nothing moves
-    region : of frames of this size
-    partner : from `regions.partners`
-    features : what ends are compared by; the aligner is afterwards where they are
+    probe_frames : ndarray of uint8, shape (N, H, W, 3)
+        RGB.
+    xy : ndarray of float, shape (N, K, 2)
+        Positions found in them, px; the last two keypoints are the moving end.
+    inlier : ndarray of bool, shape (N,)
+        Frames that are used; positions in the others stay.
+    region : RegionOfInterest
+        Of frames of this size.
+    reference : sequence of int
+        From `roi.reference_keypoints`.
+    features : FirstStage
+        The features that ends are compared by. The regressor lies on their device.
+
+    Returns
+    -------
+    xy : ndarray of float, shape (N, K, 2)
+        Positions with the moving end registered.
+    network : EndRegressionNetwork or None
+        None where the end's crops do not show its pose.
     """
-    rows = np.flatnonzero(same).tolist()
-    pictures, regions, video = [probe_frames[i] for i in rows], [region] * len(rows), ["glimpses"] * len(rows)
+    rows = np.flatnonzero(inlier).tolist()
+    images, regions, video = [probe_frames[i] for i in rows], [region] * len(rows), ["probe"] * len(rows)
     moving = np.zeros((len(rows), xy.shape[1]), bool)
     moving[:, -2:] = True
-    frames = [prepare(picture, own, region) for picture, own in zip(pictures, xy[rows], strict=True)]
-    better = xy.copy()
-    better[rows] = register_ends(frames, xy[rows], moving, reference, video, features)
-    aligner = fit_end_regression(pictures, regions, better[rows], moving, reference, video, features, SEED)
-    return better, aligner
+    frames = [prepare(image, own, region) for image, own in zip(images, xy[rows], strict=True)]
+    registered = xy.copy()
+    registered[rows] = register_ends(frames, xy[rows], moving, reference, video, features)
+    network = fit_end_regression(images, regions, registered[rows], moving, reference, video, features, SEED)
+    return registered, network

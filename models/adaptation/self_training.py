@@ -1,9 +1,9 @@
-"""Self-training: a network that knows actuators in general learns one from the frames in which it is sure of it.
+"""Self-training: a pretrained network is fitted to one actuator from the frames in which it is sure of it.
 
-Nobody has labelled anything. What it finds in frames spread over a video, where it is sure, stands for labels (Lee
-2013), and as they are shown turned, hidden in part and in other light, while it found them as they are, it learns to
-find the actuator where it was not sure of it (Xie et al. 2020). Where it is not sure, what looks most like the moving
-end is mostly something else, and it learns that too.
+Nobody has labelled anything. What the network finds in probe frames, where it is sure, are pseudo-labels (Lee 2013).
+It found them in the frames as they are, and is trained on the frames turned, partly covered and in other light: so it
+learns to find the actuator where it was not sure of it (noisy student, Xie et al. 2020). Where it is not sure, what
+looks most like the moving end is mostly something else: such places are negatives.
 """
 
 from __future__ import annotations
@@ -33,95 +33,136 @@ from ..training.settings import TrainingSettings
 
 START = "actuator"
 SETTINGS = TrainingSettings(init=START, steps=100, average=0.95)
-"""As of a training from what ships, but short: half a minute on two cores, and an average that forgets sooner."""
+"""Settings of a training from the shipped network, but short: half a minute on two cores, with a shorter average."""
 
 REPLAY_FRAMES = 48
-"""Rendered frames that are shown again."""
+"""Rendered frames for experience replay."""
 
-MOST = 4
-"""Keypoints of a frame that the refiner is shown at once, drawn anew each time."""
+KEYPOINTS_PER_FRAME = 4
+"""Keypoints of a frame in each of the refiner's batches, drawn anew each time."""
 
-ODD = 1.4
-"""How much less alike a moving end may look than they usually do, to learn from it."""
+MAX_DISTANCE = 1.4
+"""Largest distance in appearance of a moving end from the typical one, in medians of all, to learn from it."""
 
 
-def alike(
-    probe_frames: Frames, examples: PseudoLabels, region: RegionOfInterest, features: FirstStage
+def typical_appearance(
+    probe_frames: Frames, labels: PseudoLabels, region: RegionOfInterest, features: FirstStage
 ) -> BoolArray:
-    """Of the frames (N,) in which the moving end is right, those in which it looks as it does in most.
+    """Outlier rejection: of the positive frames, those in which the moving end looks as it does in most.
 
-    Another end that is found now and then, such as a pen's, or a tip that is half hidden, would be learnt by heart.
-    The parameters are those of `self_train`; `features` is what ends are compared by.
+    A pen that is taken for the end now and then, or a tip that is half hidden, would be learnt by heart.
+
+    Parameters
+    ----------
+    probe_frames : ndarray of uint8, shape (N, H, W, 3)
+        RGB.
+    labels : PseudoLabels
+    region : RegionOfInterest
+        Of frames of this size.
+    features : FirstStage
+        The features that ends are compared by.
+
+    Returns
+    -------
+    ndarray of bool, shape (N,)
     """
-    rows = np.flatnonzero(examples.right).tolist()
-    cut = [crop_end(probe_frames[i], examples.xy[i, MOVING], region).picture for i in rows]
+    rows = np.flatnonzero(labels.positive).tolist()
+    crops = [crop_end(probe_frames[i], labels.xy[i, MOVING], region).image for i in rows]
     with torch.inference_mode():
-        seen = features(torch.from_numpy(stacked(cut)).to(features.mean.device))
+        seen = features(torch.from_numpy(stacked(crops)).to(features.mean.device))
         scale = seen.std(dim=(0, 2, 3), correction=0)[:, None, None] + 1e-9
         away = ((seen - seen.median(dim=0).values) / scale).abs().mean(dim=1)
-        apart: FloatArray = (away * window(seen)).sum(dim=(1, 2)).cpu().numpy()
-    kept = examples.right.copy()
-    kept[rows] = apart <= ODD * np.median(apart)
+        distance: FloatArray = (away * window(seen)).sum(dim=(1, 2)).cpu().numpy()
+    kept = labels.positive.copy()
+    kept[rows] = distance <= MAX_DISTANCE * np.median(distance)
     return kept
 
 
 def self_train(
     network: Cascade,
     probe_frames: Frames,
-    examples: PseudoLabels,
+    labels: PseudoLabels,
     region: RegionOfInterest,
     reference: Sequence[int],
     progress: Callable[[int, int | None], None] | None = None,
 ) -> Cascade:
-    """A network like `network`, which stays as it is, that has learnt an actuator.
+    """Fit a copy of a network to the pseudo-labels.
 
     Parameters
     ----------
-    network : finds the stream's keypoints; computes where it lies
-    glimpses : (N, H, W, 3) uint8 RGB
-    examples : what it learns in them; in one or more they are right
-    region : of frames of this size
-    partner : from `regions.partners`
-    progress : called after each step with the number of steps done and to be done
+    network : Cascade
+        Finds the stream's keypoints; stays as it is. Training runs on its device.
+    probe_frames : ndarray of uint8, shape (N, H, W, 3)
+        RGB.
+    labels : PseudoLabels
+        At least one frame is positive.
+    region : RegionOfInterest
+        Of frames of this size.
+    reference : sequence of int
+        From `roi.reference_keypoints`.
+    progress : callable, optional
+        Called after each step with the number of steps done and to be done.
+
+    Returns
+    -------
+    Cascade
+        The averaged weights.
+
+    Raises
+    ------
+    TrainingError
+        The loss is not finite.
     """
-    own = {
-        i: prepare(probe_frames[i], examples.xy[i], region) for i in np.flatnonzero(examples.right).tolist()
+    prepared = {
+        i: prepare(probe_frames[i], labels.xy[i], region) for i in np.flatnonzero(labels.positive).tolist()
     }
-    lessons = BatchSampler(
+    sampler = BatchSampler(
         rendered_frames(SETTINGS.seed, range(REPLAY_FRAMES), KEYPOINTS, {name: name for name in KEYPOINTS}),
         crop_wh([region]),
         reference,
         SETTINGS.batch_frames,
         SETTINGS.seed,
-        most=MOST,
+        most=KEYPOINTS_PER_FRAME,
         refiner_batches=1,
         wrong=[
-            _not_it(probe_frames[i], examples.xy[i], examples.wrong[i], region)
-            for i in np.flatnonzero(examples.wrong.any(axis=1)).tolist()
+            _negative_frame(probe_frames[i], labels.xy[i], labels.negative[i], region)
+            for i in np.flatnonzero(labels.negative.any(axis=1)).tolist()
         ],
     )
-    pair = TwoNetworkTrainer(
+    trainer = TwoNetworkTrainer(
         copy.deepcopy(network),
         average=SETTINGS.average,
         weight_decay=SETTINGS.weight_decay,
         locator_share=SETTINGS.locator_share_from(START),
     )
-    schedule = Schedule(SETTINGS.steps_for(len(own), START), SETTINGS.decay_share)
+    schedule = Schedule(SETTINGS.steps_for(len(prepared), START), SETTINGS.decay_share)
     rate = SETTINGS.learning_rate_from(START)
-    with ThreadPoolExecutor(max_workers=1) as pool, pair:
-        following = pool.submit(lessons.batches, 0, own)
+    with ThreadPoolExecutor(max_workers=1) as pool, trainer:
+        batches = pool.submit(sampler.batches, 0, prepared)
         for step in range(schedule.total):
-            locate, refine = following.result()
-            following = pool.submit(lessons.batches, step + 1, own)
-            pair.learn(locate, refine, step, rate * schedule.factor(step))
+            locate, refine = batches.result()
+            batches = pool.submit(sampler.batches, step + 1, prepared)
+            trainer.learn(locate, refine, step, rate * schedule.factor(step))
             if progress is not None:
                 progress(step + 1, schedule.total)
-    return pair.average.eval()
+    return trainer.average.eval()
 
 
-def _not_it(picture: ImageArray, xy: FloatArray, wrong: BoolArray, region: RegionOfInterest) -> PreparedFrame:
-    """A frame that shows something else at positions (K, 2) px of those points of the moving end that are wrong (2,);
-    of the others nothing is said."""
-    said, in_sight = np.full_like(xy, np.nan), np.ones(len(xy), bool)
-    said[MOVING], in_sight[MOVING] = np.where(wrong[:, None], xy[MOVING], np.nan), ~wrong
-    return prepare(picture, said, region, in_sight)
+def _negative_frame(
+    image: ImageArray, xy: FloatArray, negative: BoolArray, region: RegionOfInterest
+) -> PreparedFrame:
+    """A frame that shows something else at some positions of the moving end.
+
+    Parameters
+    ----------
+    image : ndarray of uint8, shape (H, W, 3)
+    xy : ndarray of float, shape (K, 2)
+        Positions, px.
+    negative : ndarray of bool, shape (2,)
+        Points of the moving end that are negatives; all other keypoints are unlabelled in the frame.
+    region : RegionOfInterest
+        Of frames of this size.
+    """
+    labels, in_sight = np.full_like(xy, np.nan), np.ones(len(xy), bool)
+    labels[MOVING], in_sight[MOVING] = np.where(negative[:, None], xy[MOVING], np.nan), ~negative
+    return prepare(image, labels, region, in_sight)

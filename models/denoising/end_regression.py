@@ -98,7 +98,7 @@ class _Shown:
         """Features (N, C, h, w) of pictures cut `off` (N, 3) where the end is, in other light where there is one."""
         ends = self.ends if off is None else move_ends(self.ends, off, self.patch_scale)
         cut = [
-            crop_end(picture, end, region).picture
+            crop_end(picture, end, region).image
             for picture, end, region in zip(self.pictures, ends, self.regions, strict=True)
         ]
         if light is not None:

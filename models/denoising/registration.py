@@ -20,7 +20,7 @@ from torch import Tensor
 from ...tracker.types import BoolArray, FloatArray
 from ..data.prepared import PreparedFrame
 from ..inference.affine import centred_view, stacked
-from ..inference.crops import CLOSER, END_SIDE, FAR_PX, FAR_RAD
+from ..inference.crops import END_MAGNIFICATION, END_SIDE, MAX_STEP_PX, MAX_STEP_RAD
 from ..inference.roi import turned
 from ..networks.checkpoint import load_checkpoint
 from ..networks.heatmap_network import STRIDE, FirstStage, HeatmapNetwork
@@ -102,7 +102,7 @@ def _registered(frames: Sequence[PreparedFrame], xy: FloatArray, features: First
     """`registered` for one end (N, 2, 2) in frames of one video."""
     views = [frame.fine_view for frame in frames]
     ends = np.stack([view.to_input(own) for view, own in zip(views, xy, strict=True)])
-    zoom = CLOSER * np.array([frame.region.magnification for frame in frames])
+    zoom = END_MAGNIFICATION * np.array([frame.region.magnification for frame in frames])
     middle = ends.mean(axis=1)
     half: FloatArray = (ends[:, 1] - ends[:, 0]) / 2
     moved, turn = np.zeros_like(middle), np.zeros(len(frames))
@@ -117,7 +117,7 @@ def _registered(frames: Sequence[PreparedFrame], xy: FloatArray, features: First
             step: FloatArray = _step(features(images.to(features.mean.device)))
         moved += turned(step[:, :2] / zoom[:, None], direction)
         turn += step[:, 2]
-    far = (np.linalg.norm(moved, axis=1) * zoom > FAR_PX) | (np.abs(turn) > FAR_RAD)
+    far = (np.linalg.norm(moved, axis=1) * zoom > MAX_STEP_PX) | (np.abs(turn) > MAX_STEP_RAD)
     moved[far], turn[far] = 0.0, 0.0
     half = turned(half, turn)
     ends = (middle + moved)[:, None] + np.stack([-half, half], axis=1)

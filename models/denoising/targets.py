@@ -10,6 +10,7 @@ import numpy as np
 from ...tracker.types import BoolArray, FloatArray, ImageArray
 from ..data.prepared import PreparedFrame
 from ..inference.coarse_to_fine import CoarseToFineEstimator, concatenated
+from ..inference.crops import CropGeometry
 from ..inference.tta import FlipAugmentedPredictor
 from ..networks.end_regressor import EndRegressionNetwork
 from ..networks.heatmap_network import FirstStage
@@ -47,10 +48,11 @@ class TargetDenoiser:
         """Patch px per px of the frames, (N,)."""
         return np.array([frame.region.refiner_scale for frame in self.frames])
 
-    def known_before(self, finder: CoarseToFineEstimator, known: BoolArray) -> FloatArray:
+    def known_before(self, estimator: CoarseToFineEstimator, known: BoolArray) -> FloatArray:
         """Positions (N, K, 2) px by a network that knows some of the keypoints before it has learnt anything here.
 
-        finder : puts that network to work
+        estimator : CoarseToFineEstimator
+            With that network.
         known : (K,), which it knows
         """
         labels = self.labels
@@ -58,9 +60,9 @@ class TargetDenoiser:
         both = labelled & labelled[:, list(self.reference)] & known
         near = np.where(both[..., None], labels, np.nan)
         # What comes with bendtrack was pretrained with mirrored pictures.
-        finder = replace(finder, refine=FlipAugmentedPredictor(finder.refine))
+        estimator = replace(estimator, refiner=FlipAugmentedPredictor(estimator.refiner))
         found = [
-            finder.refined(picture[None], own[None], frame.region, self.reference)
+            estimator.refine(picture[None], own[None], CropGeometry(frame.region, tuple(self.reference)))
             for picture, own, frame in zip(self.pictures, near, self.frames, strict=True)
         ]
         return self.less_noisy(concatenated(found).xy)

@@ -1,4 +1,4 @@
-"""Views: where in a frame a network looks, as an affine map from frame px to the network's input px.
+"""Affine views: where in a frame a network looks, as a map from frame px to the network's input px.
 
 Both maps speak of pixel centres (see the glossary in `tracker/types.py`), so a resize by s carries x to
 (x + 0.5) s - 0.5.
@@ -15,7 +15,7 @@ import numpy as np
 from ...tracker.types import FloatArray, ImageArray
 
 PATCH_SIDE = 64
-"""Side of the refiner's square input in px."""
+"""Side of the refiner's square input, px."""
 
 
 @dataclass(frozen=True)
@@ -24,8 +24,10 @@ class View:
 
     Attributes
     ----------
-    matrix : (2, 3) float64, p_input = matrix[:, :2] @ p_source + matrix[:, 2]
-    size_wh : width and height of the input in px
+    matrix : ndarray of float64, shape (2, 3)
+        p_input = matrix[:, :2] @ p_source + matrix[:, 2].
+    size_wh : tuple of int
+        Width and height of the input, px.
     """
 
     matrix: FloatArray
@@ -73,9 +75,9 @@ def resized_view(scale: float, offset_xy: tuple[int, int], size_wh: tuple[int, i
     return View(np.column_stack([np.eye(2) * scale, shift]), size_wh)
 
 
-def stacked(pictures: Sequence[ImageArray]) -> ImageArray:
-    """Pictures (H, W, 3) of one size as networks take them, (N, 3, H, W)."""
-    return np.ascontiguousarray(np.stack(pictures).transpose(0, 3, 1, 2))
+def stacked(images: Sequence[ImageArray]) -> ImageArray:
+    """Images (H, W, 3) of one size in the networks' order, (N, 3, H, W)."""
+    return np.ascontiguousarray(np.stack(images).transpose(0, 3, 1, 2))
 
 
 def resize(image: ImageArray, scale: float) -> ImageArray:

@@ -1,12 +1,11 @@
-"""From what the network says of itself to covariances and likelihoods that can be believed.
+"""Calibration: from a network's own spreads and peaks to covariances and likelihoods.
 
-A position is uncertain for two reasons. The network finds a keypoint a little elsewhere in every frame: that is what
-its spread head has learnt. And all it knows comes from n labels that are each off by a person's error: however steady
-it is, the mark it has learnt is known to label_sd / sqrt(n) only.
+A position is uncertain for two reasons. The network finds a keypoint a little elsewhere in every frame: its spread head
+has learnt how much. And all it knows comes from n labels with an error of `label_sd_px` each: however steady the
+network is, the labelled point is known to label_sd_px / sqrt(n) only.
 
-A heatmap's peak, too, means little by itself: one keypoint's stays at 0.5 where another's reaches 0.9, and both grow
-with training. Compared with the peaks in the labelled frames, where the keypoint is known to be, it says how much of
-the usual sight of it there is.
+A heatmap's peak is no probability. One keypoint's stays at 0.5 where another's reaches 0.9, and both grow with
+training. Divided by its median in labelled frames, the reference peak, it says how well the keypoint is seen.
 """
 
 from __future__ import annotations
@@ -21,21 +20,25 @@ from ...tracker.types import BoolArray, Detections, FloatArray
 MEDIAN_CHI2 = float(np.log(4.0))
 """Median squared Mahalanobis distance of a two-dimensional Gaussian."""
 
-LEAST_PEAK = 0.2
-"""A network whose peaks are usually lower has not learnt the keypoint: its likelihoods are not raised further."""
+MIN_REFERENCE_PEAK = 0.2
+"""A network with a lower reference peak has not learnt the keypoint: its likelihoods are not raised further."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Covariance = scale * spread + label_sd_px**2 / n_labels; likelihood = peak / usual peak, at most 1.
+    """Covariance = scale * spread + label_sd_px**2 / n_labels; likelihood = peak / reference peak, at most 1.
 
     Attributes
     ----------
-    scale : factor on the network's own covariances; above 1 when held-out labels lie further away than spread,
-        labelling error and chance explain; of a pretrained network also below it, for its truth is exact and plenty
-    label_sd_px : a label's own error, standard deviation of x and of y, from the trained frames' residuals
-    n_labels : labels that a keypoint was learnt from
-    usual_peak : for each keypoint, the median peak in labelled frames
+    scale : float
+        Factor on the network's own covariances. Above 1 where held-out labels lie further away than spread, label
+        noise and chance explain. For a pretrained network also below 1, since its truth is exact and plentiful.
+    label_sd_px : float
+        Standard deviation of a label's error in x and in y, px, from the residuals of the training frames.
+    n_labels : int
+        Labels that a keypoint was learnt from.
+    reference_peak : tuple of float
+        For each of K keypoints the median peak in labelled frames; empty where none is known.
     """
 
     scale: float = 1.0
@@ -44,19 +47,19 @@ class Calibration:
     reference_peak: tuple[float, ...] = ()
 
     def apply(self, found: Detections) -> Detections:
-        """Detections with calibrated likelihoods and covariances from the network's own."""
+        """Detections (N, K) with calibrated likelihoods and covariances, from the network's own."""
         covariance = found.covariance * self.scale + np.eye(2) * (self.label_sd_px**2 / self.n_labels)
         return replace(found, covariance=covariance, likelihood=self.likelihood(found.likelihood))
 
     def likelihood(self, peak: FloatArray) -> FloatArray:
         """Likelihoods in [0, 1] from peaks (N, K, ...) of heatmaps."""
-        usual = self.usual.reshape(-1, *(1,) * (peak.ndim - 2))
-        return np.minimum(peak / usual, 1.0)
+        reference = self.normalising_peak.reshape(-1, *(1,) * (peak.ndim - 2))
+        return np.minimum(peak / reference, 1.0)
 
     @property
-    def usual(self) -> FloatArray:
-        """`reference_peak` (K,), none under `LEAST_PEAK`; 1 for all where none is known."""
-        return np.asarray(np.maximum(self.reference_peak or 1.0, LEAST_PEAK))
+    def normalising_peak(self) -> FloatArray:
+        """What peaks are divided by, (K,): `reference_peak`, at least `MIN_REFERENCE_PEAK`; 1 where none is known."""
+        return np.asarray(np.maximum(self.reference_peak or 1.0, MIN_REFERENCE_PEAK))
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready, under the names of the checkpoint's format, and read back by `from_dict`."""
@@ -76,9 +79,20 @@ class Calibration:
 def calibrate(
     trained: Detections, trained_labels: FloatArray, held: Detections | None, held_labels: FloatArray | None
 ) -> Calibration:
-    """Calibrate on what the network finds in trained and in held-out frames, labels (N, K, 2) px.
+    """Calibrate on what the network finds in training frames and in held-out frames.
 
     Medians throughout: one label on the wrong spot must not make every frame uncertain.
+
+    Parameters
+    ----------
+    trained : Detections
+        (N, K), in the training frames.
+    trained_labels : ndarray of float, shape (N, K, 2)
+        Their labels, px; NaN where not labelled.
+    held : Detections or None
+        (M, K), in the held-out frames.
+    held_labels : ndarray of float, shape (M, K, 2), or None
+        Their labels.
     """
     residual = trained.xy - trained_labels
     known = np.logical_not(np.isnan(residual[..., 0]))
@@ -91,9 +105,14 @@ def calibrate(
 
 
 def typical_scale(found: Detections, truth: FloatArray) -> float:
-    """The factor on the network's own covariances that makes its typical distance from the exact truth likely.
+    """The factor on the network's own covariances that explains its median distance from the exact truth.
 
-    truth : (N, K, 2) px, NaN where nothing is to be found
+    Parameters
+    ----------
+    found : Detections
+        (N, K).
+    truth : ndarray of float, shape (N, K, 2)
+        px; NaN where a keypoint cannot be seen.
     """
     off = found.xy - truth
     seen = ~np.isnan(off).any(axis=2)
@@ -110,10 +129,21 @@ def reference_peaks(likelihood: FloatArray, known: BoolArray) -> tuple[float, ..
 
 
 def spread_scale(found: Detections, truth: FloatArray, truth_variance: float) -> float:
-    """The factor on the network's own covariances that makes its distances from positions (N, K, 2) px likely.
+    """The factor on the network's own covariances that explains its distances from noisy positions.
 
-    1 where the spread is not clearly too small, or nothing is known. `truth_variance` is the positions' own, of x and
-    of y.
+    Parameters
+    ----------
+    found : Detections
+        (N, K).
+    truth : ndarray of float, shape (N, K, 2)
+        Positions, px; NaN where unknown.
+    truth_variance : float
+        Variance of these positions in x and in y, px^2.
+
+    Returns
+    -------
+    float
+        1 where the spread is not clearly too small, or nothing is known.
     """
     off = found.xy - truth
     seen = ~np.isnan(off).any(axis=2)

@@ -1,239 +1,302 @@
-"""How two trained networks find keypoints in frames: locate them in the working region, then look closely at each, and
-at moving ends more closely still.
+"""The coarse-to-fine estimator: a locator proposes where keypoints are, a refiner sees a crop around each.
 
-Knows networks only as functions of pictures (`Predictor`, `EndRegressor`), so torch and compiled engines share every line
-of it. The networks themselves are in `cascade.py`, compiled ones in `compiled.py`, videos in `following.py`.
+The stages, in order: propose, crop and predict (iterative refinement), average shifted crops, regress ends, check that
+both networks agree. Each takes an estimate and returns a new one. What follows for whole videos is in `tracking.py`,
+calibration in `metadata.py`. Networks are plain functions of images here (`Predictor`, `EndRegressor`), so that torch
+and compiled engines share every line.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
 from ...tracker.types import BoolArray, Detections, FloatArray, Frames, ImageArray, IntArray
 from .affine import View, resize, stacked
-from .crops import FAR_PX, FAR_RAD, POSE_PX, Crop, crop_end, crop_patch, move_ends, places
+from .crops import MAX_STEP_PX, MAX_STEP_RAD, POSE_PX, CropGeometry, crop_end, move_ends
 from .roi import RegionOfInterest
+from .stages import ALL_STAGES, StageSettings
 
 LOCATOR_MULTIPLE = 32
-"""The locator's input sides are multiples of this: its four stages halve them five times."""
+"""Sides of the locator's input are multiples of this: its four stages halve them five times."""
 
-COLLAPSE_LIKELIHOOD = 0.15
-"""A keypoint whose peak in the working region is under this is sought in the whole frame: a bend beyond the labelled
-ones may carry the tip out of the region. (Peaks of what is there are 0.4 to 0.9.)"""
+LOST_LIKELIHOOD = 0.15
+"""A keypoint whose peak in the region of interest is lower is searched in the whole frame: a bend beyond the labelled
+ones may carry the tip out of the region. Peaks of visible keypoints are 0.4 to 0.9."""
 
-ASIDE_PATCH_PX = 2.0
-"""How far to the right of a keypoint and below it one of its two last patches is cut, and to the left and above the
-other: less than patches are shifted in training."""
+SHIFT_PX = 2.0
+"""Shift of the two crops that are averaged, to the lower right and to the upper left, frame px. Training shifts its
+crops by more than that."""
 
-FAR_PATCH_PX = 3.0
-MOST_SIGHTINGS = 2
-"""Where a keypoint is found further than this from where it was thought to be, it is sought from there once more."""
+RECENTRE_CROP_PX = 3.0
+MAX_ITERATIONS = 2
+"""A keypoint found further from its crop's centre, in crop px, is cropped again, up to so many times in all."""
 
-AGREED_PATCH_PX = 8.0
-"""Positions further apart are not of the same thing: the likelier is taken."""
+AGREEMENT_CROP_PX = 8.0
+"""Two predictions further apart, in crop px, are not of the same thing: the likelier one is taken, not the mean."""
 
-LOST_PATCH_PX = 16.0
-"""A keypoint that locator and refiner put further apart than this is not the one that was learnt."""
+LOST_CROP_PX = 16.0
+"""Where locator and refiner put a keypoint further apart than this, in crop px, it is not the learnt keypoint."""
 
 MAX_INPUT_PX = 1 << 20
-"""Input px that go through a network at once: its first layer's maps take 64 bytes for each."""
+"""Input px per call of a network: the maps of its first layer take 64 bytes for each, so memory stays flat."""
 
 
 class Predictor(Protocol):
-    """A network as a function."""
+    """A network as a function of images."""
 
-    def __call__(self, pictures: ImageArray) -> Detections:
-        """Every keypoint in pictures (N, 3, H, W) uint8 RGB, positions and covariances in their own px."""
+    def __call__(self, images: ImageArray) -> Detections:
+        """Predict every keypoint in images (N, 3, H, W) uint8 RGB; positions and covariances in px of the images."""
 
 
 class EndRegressor(Protocol):
-    """What tells how ends lie in closer pictures of them.
+    """Estimates the pose of ends from high-resolution crops."""
+
+    @property
+    def ends(self) -> tuple[tuple[int, int], ...]:
+        """The two keypoints of each of E ends."""
+
+    def __call__(self, images: ImageArray) -> FloatArray:
+        """Corrections (N, E, 3) for `crops.move_ends` from images (N, 3, END_SIDE, END_SIDE) uint8 RGB."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Keypoints of N frames between two stages of the refinement.
 
     Attributes
     ----------
-    ends : the two keypoints of each of E ends
+    found : Detections
+        (N, K), as far as they are known.
+    pending : ndarray of bool, shape (N, K)
+        Keypoints that the stages to come still have to look at.
     """
 
-    ends: tuple[tuple[int, int], ...]
-
-    def __call__(self, pictures: ImageArray) -> FloatArray:
-        """Steps (N, E, 3), as `move_ends` takes them, that put each end right in pictures (N, 3, END_SIDE, END_SIDE)
-        uint8 RGB."""
+    found: Detections
+    pending: BoolArray
 
 
 @dataclass(frozen=True)
 class CoarseToFineEstimator:
-    """Locator and refiner at work.
+    """Locator and refiner together.
 
     Attributes
     ----------
-    locate : reads the working region
-    refine : reads patches; patch i of a frame is asked for keypoint i only
-    peaks : places that `locate` offers for each keypoint, next to each other, the likeliest first
-    align : tells how ends lie that look alike wherever they turn; None where there are none
-    thorough : whether those ends are seen from two sides too, before that: where nobody has labelled anything, whether
-        an end is seen at all is the question
-    once : keypoints that are looked at from one side only, for nothing that is measured hangs on them
+    locator : Predictor
+        Sees the region of interest at low resolution.
+    refiner : Predictor
+        Sees one crop per keypoint; crop i is asked for its own keypoint only.
+    candidates : int
+        Candidate peaks (top-M) that the locator returns for each keypoint, the likeliest first.
+    end_regressor : EndRegressor or None
+        Corrects the pose of moving ends; None where there is none.
+    stages : StageSettings
+        Which stages run.
+    shift_ends : bool
+        Whether ends that are regressed are averaged over shifted crops first. Without labels they are: whether an end
+        is seen at all is the question there.
+    single_view : tuple of int
+        Keypoints that are never averaged over shifted crops, since no measured quantity depends on them.
     """
 
-    locate: Predictor
-    refine: Predictor
-    peaks: int = 1
-    align: EndRegressor | None = None
-    thorough: bool = False
-    once: tuple[int, ...] = ()
+    locator: Predictor
+    refiner: Predictor
+    candidates: int = 1
+    end_regressor: EndRegressor | None = None
+    stages: StageSettings = ALL_STAGES
+    shift_ends: bool = False
+    single_view: tuple[int, ...] = ()
 
-    def detect(self, frames: Frames, region: RegionOfInterest, reference: Sequence[int]) -> Detections:
-        """Find the keypoints in frames of one size, each by itself.
+    def detect(self, frames: Frames, geometry: CropGeometry) -> Detections:
+        """Find the keypoints in frames of one size, each frame by itself.
 
         Parameters
         ----------
-        region : where to look, made for frames of this size (`CheckpointMetadata.region_for`)
-        partner : from `regions.partners`
+        frames : sequence of ndarray of uint8, shape (H, W, 3)
+            RGB.
+        geometry : CropGeometry
+            For frames of this size (`CheckpointMetadata.geometry_for`).
+
+        Returns
+        -------
+        Detections
+            (N, K), not calibrated.
         """
-        xy, likelihood = self.located(frames, region)
-        found = self.refined(frames, xy, region, reference)
-        # Both must have seen it, and in one place: a locator may guess through a hand, a patch show something else.
-        together = self.apart(xy, found.xy, region, reference) <= LOST_PATCH_PX
-        both = np.where(together, np.minimum(likelihood, found.likelihood), 0.0)
-        return Detections(found.xy, both, found.covariance)
+        proposed = self.propose(frames, geometry)
+        found = self.refine(frames, proposed.xy, geometry)
+        return self.check_agreement(proposed, found, geometry)
 
-    def located(self, frames: Frames, region: RegionOfInterest) -> tuple[FloatArray, FloatArray]:
-        """Rough positions (N, K, 2) px and likelihoods (N, K), from the working region or else the whole frame."""
-        xy, likelihood = self._located(frames, region)
-        everything = region.whole_frame()
-        lost = np.flatnonzero(likelihood.min(axis=1) < COLLAPSE_LIKELIHOOD).tolist()
-        for i in lost if region != everything else []:
-            elsewhere, score = self._located(frames[i : i + 1], everything)
-            better = (score[0] > likelihood[i]) & (likelihood[i] < COLLAPSE_LIKELIHOOD)
-            xy[i, better], likelihood[i, better] = elsewhere[0, better], score[0, better]
-        return xy, likelihood
+    def propose(self, frames: Frames, geometry: CropGeometry) -> Detections:
+        """Stage 1: rough positions from the region of interest, or from the whole frame where that shows nothing.
 
-    def apart(
-        self, located: FloatArray, found: FloatArray, region: RegionOfInterest, reference: Sequence[int]
-    ) -> FloatArray:
-        """How far (..., K) patch px the two networks' positions (..., K, 2) px are from saying the same."""
-        distance: FloatArray = np.linalg.norm(found - located, axis=-1) * region.refiner_scale
-        return distance
+        Returns
+        -------
+        Detections
+            (N, K), with covariances of zero: the locator's are not used.
+        """
+        found = self._propose(frames, geometry)
+        everywhere = geometry.whole_frame
+        if not self.stages.whole_frame_search or geometry == everywhere:
+            return found
+        lost: BoolArray = found.likelihood < LOST_LIKELIHOOD
+        xy, likelihood = found.xy.copy(), found.likelihood.copy()
+        for i in np.flatnonzero(lost.any(axis=1)).tolist():
+            elsewhere = self._propose(frames[i : i + 1], everywhere)
+            better = (elsewhere.likelihood[0] > likelihood[i]) & lost[i]
+            xy[i, better] = elsewhere.xy[0, better]
+            likelihood[i, better] = elsewhere.likelihood[0, better]
+        return replace(found, xy=xy, likelihood=likelihood)
 
-    def refined(
-        self, frames: Frames, xy: FloatArray, region: RegionOfInterest, reference: Sequence[int]
-    ) -> Detections:
-        """Look closely at each keypoint, near where it is thought to be, xy (N, K, 2) px; what is NaN stays NaN."""
-        found = predicted_at(xy)
-        self.settle(found, np.logical_not(np.isnan(xy).any(axis=2)), frames, region, reference)
-        return found
+    def candidate_peaks(self, frames: Frames, region: RegionOfInterest) -> tuple[FloatArray, FloatArray]:
+        """Top-M candidate positions (N, K, M, 2) px of each keypoint in a region, and their peaks (N, K, M)."""
+        view = region.locator_view(LOCATOR_MULTIPLE)
+        predicted = _predict(self.locator, [_region_image(frame, region, view) for frame in frames])
+        shape = (len(frames), -1, self.candidates)
+        return view.to_source(predicted.xy).reshape(*shape, 2), predicted.likelihood.reshape(shape)
 
-    def settle(
+    def _propose(self, frames: Frames, geometry: CropGeometry) -> Detections:
+        """The likeliest candidate of each keypoint in the region of interest."""
+        xy, likelihood = self.candidate_peaks(frames, geometry.region)
+        return replace(predicted_at(xy[:, :, 0]), likelihood=likelihood[:, :, 0].copy())
+
+    def refine(
         self,
-        found: Detections,
-        wanted: BoolArray,
         frames: Frames,
-        region: RegionOfInterest,
-        reference: Sequence[int],
-    ) -> None:
-        """Look where keypoints may be, then once more at what was found there.
-
-        Ends are seen closer, and put where they look as in the labelled frames (`_aligned`). All others are seen from
-        two sides, and the mean counts: where a keypoint lies in its patch shifts what is found there, partly the same
-        way and partly by chance. So the one cancels and the other is halved; and who begins a little off ends at the
-        same position.
+        expected: FloatArray | Detections,
+        geometry: CropGeometry,
+        wanted: BoolArray | None = None,
+    ) -> Detections:
+        """Stages 2 to 4: crop around the expected positions and predict, average shifted crops, regress ends.
 
         Parameters
         ----------
-        found : where they may be, (N, K); what is found is written into it
-        wanted : (N, K) bool, which are to be looked for
+        frames : sequence of ndarray of uint8, shape (H, W, 3)
+        expected : ndarray of float, shape (N, K, 2), or Detections
+            Where keypoints are expected, px; what is NaN stays NaN.
+        geometry : CropGeometry
+            For frames of this size.
+        wanted : ndarray of bool, shape (N, K), optional
+            Keypoints to look at; the others stay as they are. By default all that are expected somewhere.
+
+        Returns
+        -------
+        Detections
+            (N, K), not calibrated.
         """
-        rows, keypoints = np.nonzero(wanted)
-        if not len(rows):
-            return
-        for _ in range(MOST_SIGHTINGS):
-            thought = found.xy[rows, keypoints]
-            seen = self._look(found, rows, keypoints, 0.0, frames, region, reference)
-            _put(found, rows, keypoints, seen)
-            off_px = np.linalg.norm(seen.xy[:, 0] - thought, axis=1)
-            far = off_px * region.refiner_scale > FAR_PATCH_PX
+        found = expected if isinstance(expected, Detections) else predicted_at(expected)
+        if wanted is None:
+            wanted = np.logical_not(np.isnan(found.xy).any(axis=2))
+        estimate = Estimate(found, wanted)
+        stages = [self.crop_and_predict, self.regress_ends, self.average_shifted]
+        if self.shift_ends:
+            stages = [self.crop_and_predict, self.average_shifted, self.regress_ends]
+        for stage in stages:
+            if estimate.pending.any():
+                estimate = stage(frames, estimate, geometry)
+        return estimate.found
+
+    def crop_and_predict(self, frames: Frames, estimate: Estimate, geometry: CropGeometry) -> Estimate:
+        """Stage 2: predict each keypoint in a crop around it, and once more where it lay far from the centre."""
+        found = estimate.found
+        rows, keypoints = np.nonzero(estimate.pending)
+        for _ in range(MAX_ITERATIONS if self.stages.iterative_refinement else 1):
+            expected = found.xy[rows, keypoints]
+            predicted = self._predict_crops(frames, found, rows, keypoints, 0.0, geometry)
+            found = _with_keypoints(found, rows, keypoints, predicted)
+            off_px = np.linalg.norm(predicted.xy[:, 0] - expected, axis=1)
+            far = off_px * geometry.crop_scale > RECENTRE_CROP_PX
             rows, keypoints = rows[far], keypoints[far]
             if not len(rows):
                 break
-        left = wanted if self.thorough else wanted & ~self._aligned(found, wanted, frames, region)
-        rows, keypoints = np.nonzero(left & ~np.isin(np.arange(left.shape[1]), self.once))
-        if len(rows):
-            aside = np.repeat([ASIDE_PATCH_PX, -ASIDE_PATCH_PX], len(rows))[:, None]
-            both = self._look(
-                found, np.tile(rows, 2), np.tile(keypoints, 2), aside, frames, region, reference
-            )
-            _put(found, rows, keypoints, agreed(*halves(both), AGREED_PATCH_PX / region.refiner_scale))
-        if self.thorough:
-            self._aligned(found, wanted, frames, region)
+        return replace(estimate, found=found)
 
-    def _aligned(
-        self, found: Detections, wanted: BoolArray, frames: Frames, region: RegionOfInterest
-    ) -> BoolArray:
-        """Put ends where they look as in the labelled frames. Which keypoints (N, K) that went well for."""
-        well = np.zeros_like(wanted)
-        if self.align is None:
-            return well
-        for number, end in enumerate(self.align.ends):
-            rows = np.flatnonzero(wanted[:, end].all(axis=1))
+    def average_shifted(self, frames: Frames, estimate: Estimate, geometry: CropGeometry) -> Estimate:
+        """Stage 3: the mean of two crops shifted to opposite sides of each keypoint (test-time augmentation).
+
+        A prediction depends on where the keypoint lies in its crop, partly in the same way for both shifts and partly
+        by chance: the first cancels in the mean and the second is halved. Where a keypoint was expected a little off
+        does not matter after it.
+        """
+        averaged = estimate.pending & ~np.isin(np.arange(estimate.pending.shape[1]), self.single_view)
+        rows, keypoints = np.nonzero(averaged)
+        if not self.stages.shift_augmentation or not len(rows):
+            return estimate
+        shift = np.repeat([SHIFT_PX, -SHIFT_PX], len(rows))[:, None]
+        both = self._predict_crops(
+            frames, estimate.found, np.tile(rows, 2), np.tile(keypoints, 2), shift, geometry
+        )
+        mean = average_predictions(*halves(both), AGREEMENT_CROP_PX / geometry.crop_scale)
+        return replace(estimate, found=_with_keypoints(estimate.found, rows, keypoints, mean))
+
+    def regress_ends(self, frames: Frames, estimate: Estimate, geometry: CropGeometry) -> Estimate:
+        """Stage 4: correct the pose of moving ends by regression on a high-resolution crop.
+
+        Supervised descent (Xiong & De la Torre 2013) with one step; the regression is fitted in
+        `denoising/end_regression.py`. Ends that are corrected are no longer pending.
+        """
+        if self.end_regressor is None or not self.stages.end_regression:
+            return estimate
+        xy, pending = estimate.found.xy.copy(), estimate.pending.copy()
+        for number, end in enumerate(self.end_regressor.ends):
+            rows = np.flatnonzero(estimate.pending[:, end].all(axis=1))
             if not len(rows):
                 continue
-            ends = found.xy[rows[:, None], end]
-            closer = [
-                crop_end(frames[i], own, region).picture for i, own in zip(rows.tolist(), ends, strict=True)
+            ends = xy[rows[:, None], end]
+            crops = [
+                crop_end(frames[i], own, geometry.region).image
+                for i, own in zip(rows.tolist(), ends, strict=True)
             ]
-            steps = np.concatenate([self.align(part)[:, number] for part in _in_parts(closer)])
-            near = (np.linalg.norm(steps[:, :2], axis=1) <= FAR_PX) & (np.abs(steps[:, 2]) <= FAR_RAD)
-            moved = move_ends(ends[near], steps[near], region.refiner_scale)
-            found.xy[rows[near, None], end] = moved
-            well[rows[near, None], end] = True
-        return well
+            steps = np.concatenate([self.end_regressor(part)[:, number] for part in _in_parts(crops)])
+            near = (np.linalg.norm(steps[:, :2], axis=1) <= MAX_STEP_PX) & (
+                np.abs(steps[:, 2]) <= MAX_STEP_RAD
+            )
+            xy[rows[near, None], end] = move_ends(ends[near], steps[near], geometry.crop_scale)
+            pending[rows[near, None], end] = False
+        return Estimate(replace(estimate.found, xy=xy), pending)
 
-    def _look(
+    def check_agreement(self, proposed: Detections, found: Detections, geometry: CropGeometry) -> Detections:
+        """Stage 5: a keypoint must be seen by both networks, and in one place.
+
+        A locator may guess through a hand; a crop may show something else that looks alike.
+        """
+        likelihood = np.minimum(proposed.likelihood, found.likelihood)
+        if self.stages.agreement_check:
+            near = self.disagreement(proposed.xy, found.xy, geometry) <= LOST_CROP_PX
+            likelihood = np.where(near, likelihood, 0.0)
+        return replace(found, likelihood=likelihood)
+
+    def disagreement(self, proposed: FloatArray, refined: FloatArray, geometry: CropGeometry) -> FloatArray:
+        """Distance (..., K) in crop px between both networks' positions (..., K, 2) px of the same keypoints."""
+        distance: FloatArray = np.linalg.norm(refined - proposed, axis=-1) * geometry.crop_scale
+        return distance
+
+    def _predict_crops(
         self,
+        frames: Frames,
         found: Detections,
         rows: IntArray,
         keypoints: IntArray,
-        aside: FloatArray | float,
-        frames: Frames,
-        region: RegionOfInterest,
-        reference: Sequence[int],
+        shift: FloatArray | float,
+        geometry: CropGeometry,
     ) -> Detections:
-        """What is seen of M keypoints, in patches cut `aside` (M, 1) px of theirs off where they may be, (M, 1)."""
-        at = places(found.xy, region, reference)[rows, keypoints]
-        at[:, :2] += aside / POSE_PX
-        patches = [crop_patch(frames[i], own, region) for i, own in zip(rows, at, strict=True)]
-        return self.read(patches, keypoints)
-
-    def read(self, patches: Sequence[Crop], keypoint: IntArray) -> Detections:
-        """What the refiner finds in M patches, each asked for one keypoint: detections (M, 1), in frame px."""
-        read = _read(self.refine, [patch.picture for patch in patches])
-        own = np.arange(len(patches))
-        matrices = np.stack([patch.view.matrix for patch in patches])
+        """Predictions (M, 1), px of the frames, of M keypoints in crops shifted by (M, 1) px from where they are."""
+        poses = geometry.crop_poses(found.xy)[rows, keypoints]
+        poses[:, :2] += shift / POSE_PX
+        crops = [geometry.crop(frames[i], pose) for i, pose in zip(rows, poses, strict=True)]
+        predicted = _predict(self.refiner, [crop.image for crop in crops])
+        own = np.arange(len(crops))
+        matrices = np.stack([crop.view.matrix for crop in crops])
         inverse = np.linalg.inv(matrices[:, :, :2])
-        xy = np.einsum("nij,nj->ni", inverse, read.xy[own, keypoint] - matrices[:, :, 2])
-        covariance = inverse @ read.covariance[own, keypoint] @ inverse.transpose(0, 2, 1)
-        return Detections(xy[:, None], read.likelihood[own, keypoint, None], covariance[:, None])
-
-    def offered(self, frames: Frames, region: RegionOfInterest) -> tuple[FloatArray, FloatArray]:
-        """Places (N, K, M, 2) px in the working region that may be each keypoint's, and likelihoods (N, K, M)."""
-        view = region.locator_view(LOCATOR_MULTIPLE)
-        read = _read(self.locate, [_region_picture(frame, region, view) for frame in frames])
-        shape = (len(frames), -1, self.peaks)
-        return view.to_source(read.xy).reshape(*shape, 2), read.likelihood.reshape(shape)
-
-    def _located(self, frames: Frames, region: RegionOfInterest) -> tuple[FloatArray, FloatArray]:
-        """The likeliest place of each keypoint in the working region, as `located`."""
-        xy, likelihood = self.offered(frames, region)
-        return xy[:, :, 0].copy(), likelihood[:, :, 0].copy()
+        xy = np.einsum("nij,nj->ni", inverse, predicted.xy[own, keypoints] - matrices[:, :, 2])
+        covariance = inverse @ predicted.covariance[own, keypoints] @ inverse.transpose(0, 2, 1)
+        return Detections(xy[:, None], predicted.likelihood[own, keypoints, None], covariance[:, None])
 
 
 def predicted_at(xy: FloatArray) -> Detections:
-    """Positions (N, K, 2) px where keypoints may be, that nobody has seen there yet."""
+    """Positions (N, K, 2) px where keypoints are expected, with likelihoods and covariances of zero."""
     n, k = xy.shape[:2]
     return Detections(xy.copy(), np.zeros((n, k)), np.zeros((n, k, 2, 2)))
 
@@ -241,21 +304,21 @@ def predicted_at(xy: FloatArray) -> Detections:
 def halves(both: Detections) -> tuple[Detections, Detections]:
     """The first and the second half of detections (2 N, K)."""
     n = len(both.xy) // 2
-    one, other = (
+    first, second = (
         Detections(both.xy[side], both.likelihood[side], both.covariance[side])
         for side in (slice(n), slice(n, None))
     )
-    return one, other
+    return first, second
 
 
-def agreed(one: Detections, other: Detections, within_px: float) -> Detections:
-    """Two readings (N, K) of the same: their mean where they are within a distance, else the likelier."""
-    near = np.linalg.norm(other.xy - one.xy, axis=2) <= within_px
-    share = np.where(near, 0.5, one.likelihood >= other.likelihood)
+def average_predictions(first: Detections, second: Detections, within_px: float) -> Detections:
+    """The mean of two predictions (N, K) of the same keypoints, or the likelier one where they are further apart."""
+    near = np.linalg.norm(second.xy - first.xy, axis=2) <= within_px
+    weight = np.where(near, 0.5, first.likelihood >= second.likelihood)
     return Detections(
-        share[..., None] * one.xy + (1 - share[..., None]) * other.xy,
-        share * one.likelihood + (1 - share) * other.likelihood,
-        share[..., None, None] * one.covariance + (1 - share[..., None, None]) * other.covariance,
+        weight[..., None] * first.xy + (1 - weight[..., None]) * second.xy,
+        weight * first.likelihood + (1 - weight) * second.likelihood,
+        weight[..., None, None] * first.covariance + (1 - weight[..., None, None]) * second.covariance,
     )
 
 
@@ -268,27 +331,31 @@ def concatenated(parts: Sequence[Detections]) -> Detections:
     )
 
 
-def _put(found: Detections, rows: IntArray, keypoints: IntArray, seen: Detections) -> None:
-    """Write what was seen of M keypoints, (M, 1), to what was found, (N, K)."""
-    found.xy[rows, keypoints], found.likelihood[rows, keypoints] = seen.xy[:, 0], seen.likelihood[:, 0]
-    found.covariance[rows, keypoints] = seen.covariance[:, 0]
+def _with_keypoints(
+    found: Detections, rows: IntArray, keypoints: IntArray, predicted: Detections
+) -> Detections:
+    """Detections (N, K) in which M keypoints are replaced by predictions (M, 1)."""
+    xy, likelihood, covariance = found.xy.copy(), found.likelihood.copy(), found.covariance.copy()
+    xy[rows, keypoints], likelihood[rows, keypoints] = predicted.xy[:, 0], predicted.likelihood[:, 0]
+    covariance[rows, keypoints] = predicted.covariance[:, 0]
+    return Detections(xy, likelihood, covariance)
 
 
-def _read(reader: Predictor, pictures: Sequence[ImageArray]) -> Detections:
-    """What a reader finds in pictures (H, W, 3) of one size."""
-    parts = [reader(part) for part in _in_parts(pictures)]
+def _predict(predictor: Predictor, images: Sequence[ImageArray]) -> Detections:
+    """Predictions in images (H, W, 3) of one size."""
+    parts = [predictor(part) for part in _in_parts(images)]
     return parts[0] if len(parts) == 1 else concatenated(parts)
 
 
-def _in_parts(pictures: Sequence[ImageArray]) -> Iterator[ImageArray]:
-    """Pictures (H, W, 3) of one size as networks take them, (N, 3, H, W), a few at a time: memory stays flat."""
-    at_once = max(1, MAX_INPUT_PX // (pictures[0].shape[0] * pictures[0].shape[1]))
-    for start in range(0, len(pictures), at_once):
-        yield stacked(pictures[start : start + at_once])
+def _in_parts(images: Sequence[ImageArray]) -> Iterator[ImageArray]:
+    """Images (H, W, 3) of one size in the networks' order (N, 3, H, W), at most `MAX_INPUT_PX` at a time."""
+    at_once = max(1, MAX_INPUT_PX // (images[0].shape[0] * images[0].shape[1]))
+    for start in range(0, len(images), at_once):
+        yield stacked(images[start : start + at_once])
 
 
-def _region_picture(frame: ImageArray, region: RegionOfInterest, view: View) -> ImageArray:
-    """The frame through the region's view; shrunk by areas, since a bilinear cut would skip pixels."""
+def _region_image(frame: ImageArray, region: RegionOfInterest, view: View) -> ImageArray:
+    """The frame through the region's view; reduced by areas, since a bilinear warp would skip pixels."""
     w, h = view.size_wh
     # So many px of the frame fill the input; the frame's border is repeated where they reach beyond it.
     right = min(frame.shape[1], region.left + int(np.ceil(w / region.locator_scale)) + 2)

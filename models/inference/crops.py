@@ -1,8 +1,7 @@
-"""What networks are shown of a frame: patches around keypoints, and closer pictures of ends."""
+"""What networks see of a frame: crops around keypoints, turned upright, and high-resolution crops of ends."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,90 +12,153 @@ from .roi import RegionOfInterest, orientations, turned
 
 POSE_PX = 4.0
 POSE_TURN_DEG = 3.0
-"""What places (`places`) are counted in: patch px from the frame's corner, and degrees of the patch's turn."""
+"""Units of crop poses: crop px from the frame's corner, and degrees of the crop's turn. Poses at rest are rounded to
+whole units, so that a keypoint at rest is compared in one and the same crop."""
 
-CLOSER = 2.0
-END_SIDE = round(CLOSER * PATCH_SIDE)
-"""A closer picture of an end shows as much as a patch, so many times as large."""
+END_MAGNIFICATION = 2.0
+END_SIDE = round(END_MAGNIFICATION * PATCH_SIDE)
+"""The high-resolution crop of an end shows as much of the frame as a keypoint's crop, so many times as large."""
 
-FAR_PX, FAR_RAD = 8.0, 0.25
-"""An end that would be moved or turned further, in px of its closer picture, does not look like the others: it is
-left to what else is known of it."""
+MAX_STEP_PX, MAX_STEP_RAD = 8.0, 0.25
+"""Largest correction of an end's pose, in px of its high-resolution crop and rad. An end that would be moved further
+does not look like the ends that the regression was fitted on, and keeps the pose that it has."""
 
 
 @dataclass(frozen=True)
 class Crop:
-    """A square that a network is shown of a frame.
+    """A square of a frame as a network sees it.
 
     Attributes
     ----------
-    picture : (side, side, 3) uint8
-    view : from frame px to the picture's px
+    image : ndarray of uint8, shape (side, side, 3)
+        RGB.
+    view : View
+        From frame px to px of the image.
     """
 
-    picture: ImageArray
+    image: ImageArray
     view: View
 
 
-def places(near: FloatArray, region: RegionOfInterest, reference: Sequence[int]) -> FloatArray:
-    """Where patches are cut for keypoints thought to be at `near` (..., K, 2) px: middle x, middle y and turn.
+@dataclass(frozen=True)
+class CropGeometry:
+    """How frames of one size are cropped around their K keypoints.
 
-    (..., K, 3), counted in `POSE_PX` and `POSE_TURN_DEG`; upright by each keypoint's partner
+    Attributes
+    ----------
+    region : RegionOfInterest
+        Where keypoints can be, and both networks' scales.
+    reference : tuple of int
+        For each keypoint the one that gives its crop a direction (`roi.reference_keypoints`).
     """
-    middle = near * (region.refiner_scale / POSE_PX)
-    turn = orientations(near, reference) / np.deg2rad(POSE_TURN_DEG)
-    return np.concatenate([middle, turn[..., None]], axis=-1)
 
+    region: RegionOfInterest
+    reference: tuple[int, ...]
 
-def crop_patch(frame: ImageArray, place: FloatArray | IntArray, region: RegionOfInterest) -> Crop:
-    """What the refiner is shown of a frame at a place (3,), PATCH_SIDE px wide."""
-    middle = place[:2] * (POSE_PX / region.refiner_scale)
-    return _cut(frame, middle, float(place[2] * np.deg2rad(POSE_TURN_DEG)), region, PATCH_SIDE)
+    @property
+    def crop_scale(self) -> float:
+        """Crop px per frame px."""
+        return self.region.refiner_scale
+
+    @property
+    def whole_frame(self) -> CropGeometry:
+        """The same scales, for a search in the whole frame."""
+        return replace(self, region=self.region.whole_frame())
+
+    def orientations(self, xy: FloatArray) -> FloatArray:
+        """Direction in rad that each keypoint's crop is turned by, (..., K), from positions (..., K, 2) px."""
+        return orientations(xy, self.reference)
+
+    def reference_distances(self, xy: FloatArray) -> FloatArray:
+        """Distance of each keypoint from its reference keypoint, (N, K) crop px, from positions (N, K, 2) px."""
+        distance = np.linalg.norm(xy - xy[:, list(self.reference)], axis=2)
+        return np.asarray(distance * self.crop_scale)
+
+    def crop_poses(self, xy: FloatArray) -> FloatArray:
+        """Where crops are cut for keypoints expected at given positions.
+
+        Parameters
+        ----------
+        xy : ndarray of float, shape (..., K, 2)
+            Expected positions, px of the frame.
+
+        Returns
+        -------
+        ndarray of float, shape (..., K, 3)
+            Centre x, centre y in `POSE_PX`, and turn in `POSE_TURN_DEG`.
+        """
+        centre = xy * (self.crop_scale / POSE_PX)
+        turn = self.orientations(xy) / np.deg2rad(POSE_TURN_DEG)
+        return np.concatenate([centre, turn[..., None]], axis=-1)
+
+    def crop(self, frame: ImageArray, pose: FloatArray | IntArray) -> Crop:
+        """The refiner's crop of a frame at a pose (3,), PATCH_SIDE px wide."""
+        centre = pose[:2] * (POSE_PX / self.crop_scale)
+        return _crop(frame, centre, float(pose[2] * np.deg2rad(POSE_TURN_DEG)), self.region, PATCH_SIDE)
 
 
 def crop_end(frame: ImageArray, end: FloatArray, region: RegionOfInterest) -> Crop:
-    """A closer picture of an end (2, 2) px, its first point to the left and its second to the right of the middle."""
-    along = end[1] - end[0]
-    closer = replace(region, refiner_scale=CLOSER * region.refiner_scale)
-    return _cut(frame, end.mean(axis=0), float(np.arctan2(along[1], along[0])), closer, END_SIDE)
-
-
-def move_ends(ends: FloatArray, steps: FloatArray, patch_scale: FloatArray | float) -> FloatArray:
-    """Ends (N, 2, 2) px, moved and turned as they are.
+    """The high-resolution crop of an end: its first point left of the centre, its second right of it.
 
     Parameters
     ----------
-    steps : (N, 3), along each end and across it in px of its closer picture, and radians about its middle
-    patch_scale : px of the refiner's patches for one px of each frame, (N,), or of all
+    frame : ndarray of uint8, shape (H, W, 3)
+    end : ndarray of float, shape (2, 2)
+        Positions of both points, px of the frame.
+    region : RegionOfInterest
+        Of frames of this size.
     """
-    middle = ends.mean(axis=1)
+    along = end[1] - end[0]
+    magnified = replace(region, refiner_scale=END_MAGNIFICATION * region.refiner_scale)
+    return _crop(frame, end.mean(axis=0), float(np.arctan2(along[1], along[0])), magnified, END_SIDE)
+
+
+def move_ends(ends: FloatArray, steps: FloatArray, crop_scale: FloatArray | float) -> FloatArray:
+    """Ends moved along, across and about their own direction.
+
+    Parameters
+    ----------
+    ends : ndarray of float, shape (N, 2, 2)
+        Positions of both points, px of the frame.
+    steps : ndarray of float, shape (N, 3)
+        Along the end and across it in px of its high-resolution crop, and the turn about its centre in rad.
+    crop_scale : float or ndarray of float, shape (N,)
+        Crop px of the refiner per px of each frame.
+
+    Returns
+    -------
+    ndarray of float, shape (N, 2, 2)
+    """
+    centre = ends.mean(axis=1)
     half: FloatArray = (ends[:, 1] - ends[:, 0]) / 2
-    scale = CLOSER * np.broadcast_to(patch_scale, len(ends))
-    middle = middle + turned(steps[:, :2] / scale[:, None], np.arctan2(half[:, 1], half[:, 0]))
+    scale = END_MAGNIFICATION * np.broadcast_to(crop_scale, len(ends))
+    centre = centre + turned(steps[:, :2] / scale[:, None], np.arctan2(half[:, 1], half[:, 0]))
     half = turned(half, steps[:, 2])
-    return np.stack([middle - half, middle + half], axis=1)
+    return np.stack([centre - half, centre + half], axis=1)
 
 
-def _cut(frame: ImageArray, middle: FloatArray, turn_rad: float, region: RegionOfInterest, side: int) -> Crop:
-    """A square around a position of a frame (2,) px at the refiner's scale, direction `turn_rad` to the right."""
+def _crop(
+    frame: ImageArray, centre: FloatArray, turn_rad: float, region: RegionOfInterest, side: int
+) -> Crop:
+    """A square around a position (2,) px of a frame at the refiner's scale, direction `turn_rad` to the right."""
     size = side, side
     if region.fine_scale == 1.0:
-        view = centred_view(middle, size, region.magnification, turn_rad)
+        view = centred_view(centre, size, region.magnification, turn_rad)
         return Crop(view.cut(frame), view)
-    source, source_view = _around(frame, middle, region, side)
-    view = centred_view(source_view.to_input(middle), size, region.magnification, turn_rad)
+    source, source_view = _reduced_around(frame, centre, region, side)
+    view = centred_view(source_view.to_input(centre), size, region.magnification, turn_rad)
     return Crop(view.cut(source), view.after(source_view))
 
 
-def _around(
-    frame: ImageArray, middle: FloatArray, region: RegionOfInterest, side: int
+def _reduced_around(
+    frame: ImageArray, centre: FloatArray, region: RegionOfInterest, side: int
 ) -> tuple[ImageArray, View]:
-    """A part of a frame around a square's middle, made as small as the refiner looks at it, and how."""
+    """The part of a frame around a square's centre, reduced to the refiner's scale, and its view."""
     scale = region.fine_scale
     h, w = frame.shape[:2]
     # Half of a turned square's diagonal, and a little for the interpolation.
     reach = (side * 0.71 + 2) / scale
-    left, top = (int(v) for v in np.clip(middle - reach, 0, (w - 2, h - 2)))
-    right, bottom = (int(v) for v in np.clip(middle + reach + 1, (left + 2, top + 2), (w, h)))
+    left, top = (int(v) for v in np.clip(centre - reach, 0, (w - 2, h - 2)))
+    right, bottom = (int(v) for v in np.clip(centre + reach + 1, (left + 2, top + 2), (w, h)))
     part = resize(frame[top:bottom, left:right], scale)
     return part, resized_view(scale, (left, top), (part.shape[1], part.shape[0]))

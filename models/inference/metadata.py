@@ -1,6 +1,6 @@
-"""What a trained network means: its keypoints, its angle, where it looks and how far it can be believed.
+"""What a trained network means: its keypoints, its angle, its region of interest, its calibration.
 
-All of a checkpoint but the weights, and all that is needed beside a compiled network; knows nothing of torch.
+All of a checkpoint but the weights, and all that is needed next to a compiled network. Imports no torch.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
@@ -21,20 +21,24 @@ from ...tracker.errors import BendtrackError, CheckpointError
 from ...tracker.types import BoolArray, Detections, FloatArray
 from .bias import correct_bias
 from .calibration import Calibration
+from .crops import CropGeometry
 from .roi import RegionOfInterest
+from .stages import ALL_STAGES, StageSettings
 
 WEIGHTS_FILE = "weights.safetensors"
 FORMAT, OLDEST_FORMAT = 3, 2
-"""The former is raised when the networks' layers change, the latter when those of earlier ones cannot be read any more.
-"""
+"""The first is raised when the networks' layers change, the second when older files can no longer be read."""
 
 SHORTER, LONGER = 0.8, 1.25
-"""A keypoint and its partner may lie nearer than in any label, or further apart, by these factors: an end turns away
-from the camera a little, or is beyond the labelled bends, but does not stretch. (In films of nine
-looks, ends that were found to 3 px measured 0.86 to 1.14 of the labels' median.)"""
+"""Factors on the labelled distances from the reference keypoint within which a distance is plausible. An end turns away
+from the camera a little, or is beyond the labelled bends, but does not stretch. In films of nine looks, ends that were
+found to 3 px measured 0.86 to 1.14 of the labels' median."""
 
-PRETRAINED_PEAKS = 4
-"""`CheckpointMetadata.peaks` of a network that has seen no actuator's labels, and so takes one thing for another."""
+PRETRAINED_CANDIDATES = 4
+"""Candidate peaks per keypoint of a pretrained network, which may take one end for the other."""
+
+Kind = Literal["project", "pretrained"]
+"""What a network was trained on: a project's labels, or rendered actuators."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,16 +47,27 @@ class CheckpointMetadata:
 
     Attributes
     ----------
-    backbone : of both its networks
-    keypoints : names, in the order of its output
-    definition : the angle the project measures, its sign resolved
-    regions : one for each frame size among the labels
-    partner : for each keypoint the one that its patch is turned by
-    calibration : what turns the network's spreads into covariances of positions
-    label_offset : for each keypoint from `learning.consensus.systematic_bias`; empty where it is in the weights
-    lengths : for each keypoint the shortest and the longest labelled distance from its partner, in patch px
-        (`regions.reference_distances`); empty where nobody labelled any
-    training : settings, what the weights started from and which keypoints they knew, frames trained on and held out
+    backbone : str
+        Of both its networks.
+    keypoints : tuple of str
+        Names of the K keypoints, in the order of the network's output.
+    definition : AngleDefinition
+        The angle that the project measures, its sign resolved.
+    regions : tuple of RegionOfInterest
+        One for each frame size among the labels.
+    reference : tuple of int
+        For each keypoint the one that its crop is turned by.
+    calibration : Calibration
+        From the network's spreads and peaks to covariances and likelihoods.
+    kind : "project" or "pretrained"
+        What it was trained on.
+    systematic_bias : tuple
+        For each keypoint the coefficients for `bias.correct_bias`; empty where there are none.
+    distance_range : tuple of (float, float)
+        For each keypoint the shortest and longest labelled distance from its reference keypoint, crop px; empty where
+        nothing was labelled.
+    training : mapping
+        Settings, what the weights started from, which keypoints they knew, frames trained on and held out.
     """
 
     backbone: str
@@ -61,49 +76,84 @@ class CheckpointMetadata:
     regions: tuple[RegionOfInterest, ...]
     reference: tuple[int, ...]
     calibration: Calibration
+    kind: Kind = "project"
     systematic_bias: tuple[tuple[tuple[float, float], ...], ...] = ()
-    lengths: tuple[tuple[float, float], ...] = ()
+    distance_range: tuple[tuple[float, float], ...] = ()
     training: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def pretrained(self) -> bool:
-        """Whether it learnt from the stream's pictures, and not from labels."""
-        return "pictures" in self.training
+        """Whether it learnt from rendered actuators, and not from a project's labels."""
+        return self.kind == "pretrained"
 
     @property
-    def peaks(self) -> int:
-        """Places that the locator offers for each keypoint: several where it may take one end for the other."""
-        return PRETRAINED_PEAKS if self.pretrained else 1
+    def candidates(self) -> int:
+        """Candidate peaks that the locator returns for each keypoint."""
+        return PRETRAINED_CANDIDATES if self.pretrained else 1
 
     def region_for(self, frame_wh: tuple[int, int]) -> RegionOfInterest:
-        """The working region for frames of a size: its own, or the first one's, searched whole."""
+        """The region of interest for frames of a size: their own, or the first one's, searched whole."""
         own = (region for region in self.regions if region.frame_wh == frame_wh)
         return next(own, self.regions[0].for_frame(frame_wh))
 
-    def fits(self, xy: FloatArray, region: RegionOfInterest) -> BoolArray:
-        """Which keypoints (N, K) of positions (N, K, 2) px lie about as far from their partners as in some label."""
-        if not self.lengths:
-            return np.ones(xy.shape[:2], bool)
-        apart = np.linalg.norm(xy - xy[:, list(self.reference)], axis=2) * region.refiner_scale
-        shortest, longest = np.array(self.lengths).T
-        return np.asarray((apart >= SHORTER * shortest) & (apart <= LONGER * longest))
+    def geometry_for(self, frame_wh: tuple[int, int]) -> CropGeometry:
+        """How frames of a size are cropped."""
+        return CropGeometry(self.region_for(frame_wh), self.reference)
 
-    def calibrated(self, found: Detections, region: RegionOfInterest) -> Detections:
-        """What the networks found in frames of a region, put where labels lie, with believable uncertainties.
+    def plausible_distances(self, xy: FloatArray, geometry: CropGeometry) -> BoolArray:
+        """Which keypoints are about as far from their reference keypoints as in some label.
 
-        A keypoint that lies nowhere near as far from its partner as in the labels is not believed at all.
+        Parameters
+        ----------
+        xy : ndarray of float, shape (N, K, 2)
+            Positions, px of the frames.
+        geometry : CropGeometry
+            For frames of this size.
+
+        Returns
+        -------
+        ndarray of bool, shape (N, K)
         """
-        found = replace(found, likelihood=np.where(self.fits(found.xy, region), found.likelihood, 0.0))
-        if self.systematic_bias:
-            xy = correct_bias(found.xy, np.array(self.systematic_bias), self.reference, region.refiner_scale)
-            found = replace(found, xy=xy)
+        if not self.distance_range:
+            return np.ones(xy.shape[:2], bool)
+        distance = geometry.reference_distances(xy)
+        shortest, longest = np.array(self.distance_range).T
+        return np.asarray((distance >= SHORTER * shortest) & (distance <= LONGER * longest))
+
+    def calibrated(
+        self, found: Detections, geometry: CropGeometry, stages: StageSettings = ALL_STAGES
+    ) -> Detections:
+        """The last stages: check distances, correct the systematic bias, calibrate.
+
+        Parameters
+        ----------
+        found : Detections
+            (N, K), from the coarse-to-fine estimator.
+        geometry : CropGeometry
+            For frames of this size.
+        stages : StageSettings, optional
+            Which of these stages run.
+
+        Returns
+        -------
+        Detections
+            (N, K), likelihoods in [0, 1] and covariances in px^2. A keypoint at an implausible distance from its
+            reference keypoint has likelihood 0.
+        """
+        if stages.distance_check:
+            plausible = self.plausible_distances(found.xy, geometry)
+            found = replace(found, likelihood=np.where(plausible, found.likelihood, 0.0))
+        if self.systematic_bias and stages.bias_correction:
+            bias = np.array(self.systematic_bias)
+            found = replace(found, xy=correct_bias(found.xy, bias, self.reference, geometry.crop_scale))
         return self.calibration.apply(found)
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready, and read back by `read_metadata`."""
+        """JSON-ready, under the names of the checkpoint's format, and read back by `read_metadata`."""
         return {
             "format": FORMAT,
             "bendtrack": version("bendtrack"),
+            "kind": self.kind,
             "backbone": self.backbone,
             "keypoints": list(self.keypoints),
             "angle": {
@@ -113,9 +163,11 @@ class CheckpointMetadata:
             },
             "regions": [region.to_dict() for region in self.regions],
             "partner": list(self.reference),
-            "label_offset_patch_px": [[list(wave) for wave in offset] for offset in self.systematic_bias],
+            "label_offset_patch_px": [[list(term) for term in bias] for bias in self.systematic_bias],
             # JSON knows no infinity.
-            "lengths_patch_px": [[low, None if high == np.inf else high] for low, high in self.lengths],
+            "lengths_patch_px": [
+                [low, None if high == np.inf else high] for low, high in self.distance_range
+            ],
             "calibration": self.calibration.to_dict(),
             "training": dict(self.training),
         }
@@ -132,19 +184,22 @@ def read_metadata(path: Path, backbones: Sequence[str] = ()) -> CheckpointMetada
 
     Parameters
     ----------
-    backbones : those that are known; empty takes any
+    path : Path
+        The checkpoint's file or folder.
+    backbones : sequence of str, optional
+        Those that are known; empty accepts any.
 
     Raises
     ------
     CheckpointError
-        If it is missing, damaged, of another format, or not ours.
+        It is missing, damaged, of another format, or not written by bendtrack.
     """
     path = weights_file(path)
     if not path.is_file():
         raise CheckpointError(
             f"expected a trained network at {path}, got no such file; run `bendtrack train` first"
         )
-    with reading_checkpoint(path):
+    with damage_reported(path):
         with safe_open(path, "np") as file:
             metadata = file.metadata() or {}
         if "bendtrack" not in metadata:
@@ -167,21 +222,30 @@ def read_metadata(path: Path, backbones: Sequence[str] = ()) -> CheckpointMetada
             regions=tuple(RegionOfInterest.from_dict(r) for r in header["regions"]),
             reference=tuple(header["partner"]),
             calibration=Calibration.from_dict(header["calibration"]),
-            systematic_bias=tuple(_offset(values) for values in header.get("label_offset_patch_px", [])),
-            lengths=tuple(
+            kind=_kind(header),
+            systematic_bias=tuple(_bias_terms(values) for values in header.get("label_offset_patch_px", [])),
+            distance_range=tuple(
                 (low, np.inf if high is None else high) for low, high in header.get("lengths_patch_px", [])
             ),
             training=header["training"],
         )
 
 
-def _offset(values: Sequence[Any]) -> tuple[tuple[float, float], ...]:
-    """A keypoint's label offset: of each wave, or as networks were saved before, the same in all attitudes."""
+def _kind(header: Mapping[str, Any]) -> Kind:
+    """What a checkpoint was trained on; files from before it was recorded say it by what their training counts."""
+    known = header.get("kind", "pretrained" if "pictures" in header["training"] else "project")
+    if known not in ("project", "pretrained"):
+        raise ValueError(f"kind: expected project or pretrained, got {known!r}")
+    return "pretrained" if known == "pretrained" else "project"
+
+
+def _bias_terms(values: Sequence[Any]) -> tuple[tuple[float, float], ...]:
+    """A keypoint's bias: all terms of the Fourier series, or, as in older files, the constant term alone."""
     return tuple((x, y) for x, y in (values if np.ndim(values) == 2 else [values]))
 
 
 @contextmanager
-def reading_checkpoint(path: Path) -> Iterator[None]:
+def damage_reported(path: Path) -> Iterator[None]:
     """Turn the errors of a file that is not what it should be into a CheckpointError."""
     try:
         yield

@@ -1,6 +1,6 @@
-"""The working region: which part of the frame the networks look at, and at which scales.
+"""The region of interest: which part of the frame the networks see, and at which scales.
 
-Camera and clamp do not move, so the labels of a few frames tell where the actuator can be in all the others.
+Camera and clamp do not move, so the labels of a few frames say where the actuator can be in all the others.
 """
 
 from __future__ import annotations
@@ -17,39 +17,43 @@ from ...tracker.types import FloatArray
 from .affine import PATCH_SIDE, View, resized_view
 
 LOCATOR_SIDE = 160
-"""Input px of the working region's long side, unless that would make the body too small."""
+"""Input px of the region's long side, unless that would make the body shorter than `LOCATOR_BODY`."""
 
 LOCATOR_BODY = 56
-"""The body's length must cover at least so many input px (14 heatmap cells)."""
+"""Least length of the body in input px of the locator: 14 heatmap cells."""
 
 PATCH_BODY_SHARE = 0.25
-"""A patch shows so much of the body's length: a tip is to be seen whole, however thick. In a patch that shows less of a
-cap than its width, a point in the middle of it slides along."""
+"""Share of the body's length that a crop shows. A tip must be seen whole, however thick it is: where a crop shows less
+of an end cap than its width, a point in the middle of the cap slides along it."""
 
 MAX_MAGNIFICATION = 1.5
-"""Patches are enlarged at most so much; a camera's pixels hold nothing finer."""
+"""Crops are enlarged at most so much: a camera's pixels hold nothing finer."""
 
-LEAST_CUT = 0.6
-"""Patches are cut straight from a frame down to so many patch px per px: a bilinear cut passes over little there, and
-making the frame smaller first takes four times as long."""
+MIN_DIRECT_SCALE = 0.6
+"""Crops are cut straight from a frame down to so many crop px per frame px. A bilinear warp skips few pixels there, and
+reducing the frame first takes four times as long."""
 
 MARGIN_SHARE = 0.2
-"""Margin around the labels, as a share of their box's long side: labels never show the very extremes."""
+"""Margin around the labels, as a share of their bounding box's long side: labels never show the very extremes."""
 
-LEAST_FRAMES = 5
-"""Labelled frames of a size from which a working region is believed."""
+MIN_FRAMES = 5
+"""Labelled frames of one size that are enough for a region of interest of their own."""
 
 
 @dataclass(frozen=True)
 class RegionOfInterest:
-    """A box of the frame and the two scales at which it is looked at.
+    """A box of the frame, and the scales at which both networks see it.
 
     Attributes
     ----------
-    frame_wh : size of the frames that it holds for, px
-    left, top, width, height : the box in whole frame px; it may be the whole frame
-    locator_scale : locator input px per frame px
-    refiner_scale : patch px per frame px
+    frame_wh : tuple of int
+        Width and height of the frames that it holds for, px.
+    left, top, width, height : int
+        The box in whole frame px; it may be the whole frame.
+    locator_scale : float
+        Locator input px per frame px.
+    refiner_scale : float
+        Crop px per frame px.
     """
 
     frame_wh: tuple[int, int]
@@ -62,12 +66,12 @@ class RegionOfInterest:
 
     @property
     def fine_scale(self) -> float:
-        """Scale of the picture that patches are cut from, which is made smaller first for much smaller patches."""
-        return 1.0 if self.refiner_scale >= LEAST_CUT else self.refiner_scale
+        """Scale of the image that crops are cut from: 1, or smaller where crops are much smaller than the frame."""
+        return 1.0 if self.refiner_scale >= MIN_DIRECT_SCALE else self.refiner_scale
 
     @property
     def magnification(self) -> float:
-        """Patch px per px of the picture that patches are cut from, at least `LEAST_CUT`."""
+        """Crop px per px of the image that crops are cut from, at least `MIN_DIRECT_SCALE`."""
         return self.refiner_scale / self.fine_scale
 
     def locator_view(self, multiple: int) -> View:
@@ -79,7 +83,7 @@ class RegionOfInterest:
         return resized_view(self.locator_scale, (self.left, self.top), (size[0], size[1]))
 
     def whole_frame(self) -> RegionOfInterest:
-        """The same scales, looking everywhere."""
+        """The same scales for the whole frame."""
         return RegionOfInterest(self.frame_wh, 0, 0, *self.frame_wh, self.locator_scale, self.refiner_scale)
 
     def for_frame(self, frame_wh: tuple[int, int]) -> RegionOfInterest:
@@ -119,9 +123,16 @@ def body_length_px(xy: FloatArray) -> float:
 def region_of_interest(
     xy: FloatArray, frame_wh: tuple[int, int], body_px: float | None = None
 ) -> RegionOfInterest:
-    """The working region of frames with labels `xy` (N, K, 2) px, NaN where a keypoint is not labelled.
+    """The region of interest of labelled frames of one size.
 
-    body_px : the body's length; None is `body_length_px`
+    Parameters
+    ----------
+    xy : ndarray of float, shape (N, K, 2)
+        Labels, px; NaN where a keypoint is not labelled.
+    frame_wh : tuple of int
+        Width and height of the frames, px.
+    body_px : float, optional
+        The body's length, px. Default: `body_length_px` of the labels.
     """
     points = xy.reshape(-1, 2)
     points = points[~np.isnan(points).any(axis=1)]
@@ -137,32 +148,39 @@ def region_of_interest(
 
 
 def regions_of_interest(xy: FloatArray, sizes_wh: Sequence[tuple[int, int]]) -> tuple[RegionOfInterest, ...]:
-    """A region for each frame size among labelled frames, that with the most frames first.
+    """A region for each frame size among labelled frames, the size with the most frames first.
 
-    A size with fewer than `LEAST_FRAMES` labelled frames takes the scales of the best-labelled size and is searched
-    whole: a few poses do not tell where the actuator can be.
+    A size with fewer than `MIN_FRAMES` labelled frames takes the scales of the best-labelled size and is searched
+    whole: a few poses do not say where the actuator can be.
 
     Parameters
     ----------
-    xy : (N, K, 2) px, NaN where not labelled
-    sizes_wh : of the N frames
+    xy : ndarray of float, shape (N, K, 2)
+        Labels, px; NaN where not labelled.
+    sizes_wh : sequence of (int, int)
+        Sizes of the N frames, px.
     """
     counts = Counter(sizes_wh)
     regions = {size: region_of_interest(xy[[own == size for own in sizes_wh]], size) for size in counts}
     first = regions[counts.most_common(1)[0][0]]
-    if counts[first.frame_wh] < LEAST_FRAMES:
+    if counts[first.frame_wh] < MIN_FRAMES:
         first = first.whole_frame()
     return tuple(
-        regions[size] if count >= LEAST_FRAMES else first.for_frame(size)
+        regions[size] if count >= MIN_FRAMES else first.for_frame(size)
         for size, count in counts.most_common()
     )
 
 
 def reference_keypoints(xy: FloatArray) -> Sequence[int]:
-    """For each keypoint the other one nearest to it (median over frames): the two give its patch a direction.
+    """The reference keypoint of each keypoint: the nearest other one, in the median over frames.
 
-    xy : (N, K, 2) px, NaN where not labelled. A keypoint that is never labelled together with another is its
-    own partner, and its patches are not turned.
+    The two give the keypoint's crop a direction. A keypoint that is never labelled together with another is its own
+    reference, and its crops are not turned.
+
+    Parameters
+    ----------
+    xy : ndarray of float, shape (N, K, 2)
+        Labels, px; NaN where not labelled.
     """
     distance = np.linalg.norm(xy[:, :, None] - xy[:, None], axis=-1)
     k = xy.shape[1]
@@ -175,24 +193,46 @@ def reference_keypoints(xy: FloatArray) -> Sequence[int]:
     return [int(np.argmin(row)) if np.isfinite(row).any() else i for i, row in enumerate(middle)]
 
 
-def reference_distances(xy: FloatArray, reference: Sequence[int], patch_scale: FloatArray) -> FloatArray:
-    """The shortest and the longest labelled distance of each keypoint from its partner, (K, 2) patch px.
+def reference_distances(xy: FloatArray, reference: Sequence[int], crop_scale: FloatArray) -> FloatArray:
+    """The shortest and the longest labelled distance of each keypoint from its reference keypoint.
 
-    xy : (N, K, 2) px, NaN where not labelled; patch_scale : (N,) patch px per px. (0, inf) where no frame shows both.
+    Parameters
+    ----------
+    xy : ndarray of float, shape (N, K, 2)
+        Labels, px; NaN where not labelled.
+    reference : sequence of int
+        From `reference_keypoints`.
+    crop_scale : ndarray of float, shape (N,)
+        Crop px per px of each frame.
+
+    Returns
+    -------
+    ndarray of float, shape (K, 2)
+        Crop px; (0, inf) where no frame shows both.
     """
-    apart = np.linalg.norm(xy - xy[:, list(reference)], axis=2) * patch_scale[:, None]
+    apart = np.linalg.norm(xy - xy[:, list(reference)], axis=2) * crop_scale[:, None]
     known = np.isfinite(apart)
     shortest = np.where(known, apart, np.inf).min(axis=0)
     longest = np.where(known, apart, -np.inf).max(axis=0)
-    # A keypoint that is its own partner is no distance away.
+    # A keypoint that is its own reference is at no distance from it.
     nothing = ~known.any(axis=0) | (longest == 0)
     return np.stack([np.where(nothing, 0.0, shortest), np.where(nothing, np.inf, longest)], axis=1)
 
 
 def orientations(xy: FloatArray, reference: Sequence[int]) -> FloatArray:
-    """Direction (rad) by which each keypoint's patch is turned: from the lower-numbered of the pair to the higher.
+    """The direction that each keypoint's crop is turned by: from the lower-numbered of the pair to the higher.
 
-    xy : (..., K, 2) px -> (..., K); 0 where one of the pair is NaN
+    Parameters
+    ----------
+    xy : ndarray of float, shape (..., K, 2)
+        Positions, px.
+    reference : sequence of int
+        From `reference_keypoints`.
+
+    Returns
+    -------
+    ndarray of float, shape (..., K)
+        rad, from x toward y; 0 where one of the pair is NaN.
     """
     own = np.arange(len(reference))
     first, second = np.minimum(own, reference), np.maximum(own, reference)
@@ -202,7 +242,7 @@ def orientations(xy: FloatArray, reference: Sequence[int]) -> FloatArray:
 
 
 def turned(vectors: FloatArray, angle_rad: FloatArray) -> FloatArray:
-    """Vectors (..., 2) turned by angles (...) from x toward y."""
+    """Vectors (..., 2) turned by angles (...) in rad, from x toward y."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     x, y = vectors[..., 0], vectors[..., 1]
     return np.stack([c * x - s * y, s * x + c * y], axis=-1)

@@ -1,46 +1,135 @@
-"""Compiled networks at work: OpenVINO models read from files, as `finder.Predictor`s and `EndRegressor`s. Needs no torch.
+"""Compiled networks at work: OpenVINO models as `Predictor`s and `EndRegressor`s, read from files. Imports no torch.
 
-How the files are made, and what each engine may change, is in `engine.py`.
+How the files are made, and how far an engine may differ from float32, is in `export.py`.
 """
 
 from __future__ import annotations
 
 import json
+import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 from ...tracker.types import Detections, FloatArray, ImageArray
 from .coarse_to_fine import CoarseToFineEstimator
+from .stages import ALL_STAGES, StageSettings
 
 ENGINES = ("openvino-int8", "openvino")
 """The compiled engines, the faster one first."""
 
 PARTS = ("locator", "refiner")
-ALIGNER = "aligner"
-"""Part of every engine of a network that has one, in float32."""
+END_REGRESSOR_FILE = "aligner"
+"""Name of the file of every engine that has an end regressor, which computes in float32."""
 
 RECORD = "engine.json"
 FORMAT = 5
 
 
-class _Compiled:
-    """An OpenVINO model from pictures to arrays.
+@dataclass(frozen=True)
+class EngineCheck:
+    """What was measured of one engine when it was built.
+
+    Attributes
+    ----------
+    drift_px, drift_deg : float
+        Quantisation error against float32 in torch: root mean squares over keypoints (px) and angles (degrees).
+    passed : bool
+        Whether the engine may be used.
+    cpu_ms : float
+        Processor time per frame, ms.
+    """
+
+    drift_px: float
+    drift_deg: float
+    passed: bool
+    cpu_ms: float
+
+
+@dataclass(frozen=True)
+class EngineRecord:
+    """The engines next to a checkpoint.
+
+    Attributes
+    ----------
+    checkpoint_sha256, openvino : str
+        What they were built from, and the version of OpenVINO that built them.
+    frames_fitted, frames_judged : int
+        Labelled frames that the integers' ranges were fitted to, and that judged the engines.
+    ends : tuple of (int, int)
+        Ends of the end regressor; empty where there is none.
+    engines : mapping of str to EngineCheck
+        The engines that were tried.
+    skipped : mapping of str to str
+        The engines that were not tried, and why.
+    """
+
+    checkpoint_sha256: str
+    openvino: str
+    frames_fitted: int
+    frames_judged: int
+    ends: tuple[tuple[int, int], ...]
+    engines: Mapping[str, EngineCheck]
+    skipped: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def fastest(self) -> str | None:
+        """The engine that passed its check with the least processor time; None where none passed."""
+        passed = {name: check for name, check in self.engines.items() if check.passed}
+        return min(passed, key=lambda name: passed[name].cpu_ms, default=None)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready, and read back by `from_dict`."""
+        return {"format": FORMAT, **asdict(self), "ends": [list(end) for end in self.ends]}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> EngineRecord:
+        """The record that `to_dict` wrote; KeyError, TypeError or ValueError where it is not one."""
+        return cls(
+            values["checkpoint_sha256"],
+            values["openvino"],
+            int(values["frames_fitted"]),
+            int(values["frames_judged"]),
+            tuple((int(first), int(second)) for first, second in values["ends"]),
+            {name: EngineCheck(**check) for name, check in values["engines"].items()},
+            dict(values.get("skipped", {})),
+        )
+
+
+def load_openvino() -> ModuleType:
+    """OpenVINO, without its telemetry.
+
+    OpenVINO and NNCF report each use to their makers, the former as soon as it is imported. They do without where
+    their package for that cannot be imported; so it is hidden before the first of them is.
+    """
+    if "openvino" not in sys.modules:
+        sys.modules["openvino_telemetry"] = None  # type: ignore[assignment]
+    import openvino
+
+    module: ModuleType = openvino
+    return module
+
+
+class _CompiledModel:
+    """An OpenVINO model as a function from images to arrays.
 
     Parameters
     ----------
-    model : an `openvino.Model`, or the path of its .xml
-    workers : how many threads may ask it at once
-    threads : cores that answer, shared out among those who ask: with one each, most pictures are read; with all for
-        one, each is read soonest
+    model : openvino.Model or Path
+        The model, or the path of its .xml.
+    workers : int
+        Threads that may call it at once.
+    threads : int
+        Cores, shared among those who call: with one each most images are processed per second; with all for one caller
+        each image is processed with the least latency.
     """
 
     def __init__(self, model: Any, workers: int = 1, threads: int = 1) -> None:
-        import openvino
-
         # Left to itself, a processor with AMX would take bfloat16 for float32, which rounds positions by half a px.
         config = {
             "NUM_STREAMS": workers,
@@ -48,57 +137,60 @@ class _Compiled:
             "INFERENCE_PRECISION_HINT": "f32",
         }
         source = str(model) if isinstance(model, Path) else model
-        self._model = openvino.Core().compile_model(source, "CPU", config)
+        self._model = load_openvino().Core().compile_model(source, "CPU", config)
         self._own = threading.local()
 
-    def _outputs(self, pictures: ImageArray) -> list[FloatArray]:
+    def _outputs(self, images: ImageArray) -> list[FloatArray]:
         if not hasattr(self._own, "request"):
             self._own.request = self._model.create_infer_request()
         request = self._own.request
-        request.infer([pictures], share_inputs=True)
+        request.infer([images], share_inputs=True)
         return [tensor.data.astype(np.float64) for tensor in request.output_tensors]
 
 
-class OpenVINOPredictor(_Compiled):
-    """An OpenVINO model from pictures to positions, likelihoods and covariances, as a `finder.Predictor`."""
+class OpenVINOPredictor(_CompiledModel):
+    """An OpenVINO model from images to positions, likelihoods and covariances, as a `Predictor`."""
 
-    def __call__(self, pictures: ImageArray) -> Detections:
-        """Every keypoint in pictures (N, 3, H, W) uint8."""
-        return Detections(*self._outputs(pictures))
+    def __call__(self, images: ImageArray) -> Detections:
+        """Predict every keypoint in images (N, 3, H, W) uint8."""
+        return Detections(*self._outputs(images))
 
 
-class OpenVINOEndRegressor(_Compiled):
-    """An OpenVINO model from closer pictures of ends to how they lie, as a `finder.EndRegressor`.
+class OpenVINOEndRegressor(_CompiledModel):
+    """An OpenVINO model from high-resolution crops of ends to corrections of their poses, as an `EndRegressor`.
 
     Parameters
     ----------
-    ends : those that it knows
+    model, workers, threads
+        As `_CompiledModel`.
+    ends : sequence of (int, int)
+        The two keypoints of each end.
     """
 
     def __init__(self, model: Any, ends: Sequence[Sequence[int]], workers: int = 1, threads: int = 1) -> None:
         super().__init__(model, workers, threads)
         self.ends = tuple((first, second) for first, second in ends)
 
-    def __call__(self, pictures: ImageArray) -> FloatArray:
-        """Steps (N, E, 3) in pictures (N, 3, END_SIDE, END_SIDE) uint8."""
-        (steps,) = self._outputs(pictures)
+    def __call__(self, images: ImageArray) -> FloatArray:
+        """Corrections (N, E, 3) from images (N, 3, END_SIDE, END_SIDE) uint8."""
+        (steps,) = self._outputs(images)
         return steps
 
 
 def engine_folder(checkpoint_file: Path) -> Path:
-    """Where the engines of a checkpoint lie: beside it."""
+    """The folder of a checkpoint's engines, next to it."""
     return checkpoint_file.parent / "engine"
 
 
-def engine_record(checkpoint_file: Path, sha256: str) -> dict[str, Any] | None:
-    """What is known of the engines beside a checkpoint; None where there are none, or those of another."""
-    import openvino
-
+def engine_record(checkpoint_file: Path, sha256: str) -> EngineRecord | None:
+    """The record of the engines next to a checkpoint; None where there are none, or those of another checkpoint."""
     try:
-        record = json.loads((engine_folder(checkpoint_file) / RECORD).read_text(encoding="utf-8"))
-        built_for = (record["format"], record["checkpoint_sha256"], record["openvino"])
-        return record if built_for == (FORMAT, sha256, openvino.__version__) else None
-    except (OSError, ValueError, KeyError, TypeError):
+        values = json.loads((engine_folder(checkpoint_file) / RECORD).read_text(encoding="utf-8"))
+        built_for = (values["format"], values["checkpoint_sha256"], values["openvino"])
+        if built_for != (FORMAT, sha256, load_openvino().__version__):
+            return None
+        return EngineRecord.from_dict(values)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None
 
 
@@ -108,10 +200,28 @@ def compiled_estimator(
     ends: Sequence[Sequence[int]],
     workers: int = 1,
     threads: int = 1,
-    peaks: int = 1,
+    candidates: int = 1,
+    stages: StageSettings = ALL_STAGES,
 ) -> CoarseToFineEstimator:
-    """The networks of an engine that was built and passed; `ends` and `peaks` are those that it was built with."""
+    """The networks of an engine that was built and passed its check.
+
+    Parameters
+    ----------
+    checkpoint_file : Path
+    engine : str
+        One of `ENGINES`.
+    ends, candidates
+        Those that the engine was built with.
+    workers, threads : int
+        As `_CompiledModel`.
+    stages : StageSettings, optional
+        Which stages run.
+    """
     folder = engine_folder(checkpoint_file)
-    locate, refine = (OpenVINOPredictor(folder / f"{part}-{engine}.xml", workers, threads) for part in PARTS)
-    align = OpenVINOEndRegressor(folder / f"{ALIGNER}.xml", ends, workers, threads) if ends else None
-    return CoarseToFineEstimator(locate, refine, peaks, align)
+    locator, refiner = (
+        OpenVINOPredictor(folder / f"{part}-{engine}.xml", workers, threads) for part in PARTS
+    )
+    regressor = None
+    if ends:
+        regressor = OpenVINOEndRegressor(folder / f"{END_REGRESSOR_FILE}.xml", ends, workers, threads)
+    return CoarseToFineEstimator(locator, refiner, candidates, regressor, stages)

@@ -1,63 +1,66 @@
-"""Following keypoints through a video: where they were tells where to look next, so the locator mostly rests.
+"""Keypoint tracking through the frames of one video: the past only says where crops are cut.
 
-What is found is what is seen close by, as in single frames; the past only says where patches are cut, and what a patch
-shows that shows the same as before. Wherever a patch does not show what it should, the frame is searched as if
-it were the first, and so are those after it until both networks are sure again; and every so often the locator says
-whether it would look elsewhere.
+Constant-velocity prediction places the crops of the next frames, so the locator is rarely needed. What is found is what
+the crops show, as in single frames. Where a crop does not show its keypoint, the frame is searched as if it were the
+first, until both networks are sure again. Every `CHECK_EVERY` frames the locator checks whether it sees the keypoints
+elsewhere.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ...tracker.types import BoolArray, Detections, FloatArray, Frames, IntArray
-from .coarse_to_fine import LOST_PATCH_PX, CoarseToFineEstimator, concatenated, predicted_at
-from .crops import crop_patch, places
+from .coarse_to_fine import LOST_CROP_PX, CoarseToFineEstimator, concatenated, predicted_at
+from .crops import CropGeometry
 from .metadata import CheckpointMetadata
-from .roi import RegionOfInterest
 from .static_patch import StaticPatchTest
 
-AHEAD = 2
-"""Frames that are looked at together, at positions foretold from those before them."""
+FRAMES_AHEAD = 2
+"""Frames that are looked at together, at positions predicted from those before them."""
 
 SURE_SHARE = 0.5
-"""A peak lower than this share of the usual one is not believed without a search."""
+"""A peak lower than this share of the reference peak is not accepted without a search."""
 
 CHECK_EVERY = 16
-"""Frames after which the locator is asked whatever the patches say: a false track ends within half a second."""
+"""Frames after which the locator is asked whatever the crops show: a false track ends within half a second."""
 
-RESTING_PATCH_PX = 0.5
-"""A keypoint that moved by less from one frame to the next may be at rest."""
+REST_CROP_PX = 0.5
+"""A keypoint that moved by less from one frame to the next, in crop px, may be at rest."""
 
-ENOUGH = 4
-"""Times that a keypoint at rest is read; afterwards it is taken to be at the mean."""
+REST_PREDICTIONS = 4
+"""Predictions of a keypoint at rest that are averaged; after them it is not predicted again."""
 
-SAME_PLACE = 0.75
-"""Places' own units that a keypoint at rest may lie from where it is compared."""
+SAME_POSE = 0.75
+"""Largest difference, in units of crop poses, between a keypoint at rest and the pose it is compared at."""
 
-Believed = Callable[[Detections, RegionOfInterest], Detections]
+Calibrate = Callable[[Detections, CropGeometry], Detections]
 
 
-@dataclass
-class _Known:
-    """What was found, on average, of a keypoint at rest, each time beginning with the same sight at a place."""
+@dataclass(frozen=True)
+class _AtRest:
+    """A keypoint at rest: the crop that it is compared with, and the mean of what was predicted there so far."""
 
-    place: IntArray
-    find_actuator: StaticPatchTest
-    times: int = 0
+    pose: IntArray
+    patch: StaticPatchTest
+    predictions: int = 0
     xy: FloatArray = field(default_factory=lambda: np.zeros(2))
     likelihood: float = 0.0
     covariance: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
 
-    def add(self, xy: FloatArray, likelihood: float, covariance: FloatArray) -> None:
-        """Take in what was found once more."""
-        self.times += 1
-        self.xy = self.xy + (xy - self.xy) / self.times
-        self.likelihood += (likelihood - self.likelihood) / self.times
-        self.covariance = self.covariance + (covariance - self.covariance) / self.times
+    def including(self, xy: FloatArray, likelihood: float, covariance: FloatArray) -> _AtRest:
+        """The same with one more prediction in the mean."""
+        n = self.predictions + 1
+        return replace(
+            self,
+            predictions=n,
+            xy=self.xy + (xy - self.xy) / n,
+            likelihood=self.likelihood + (likelihood - self.likelihood) / n,
+            covariance=self.covariance + (covariance - self.covariance) / n,
+        )
 
 
 class KeypointTracker:
@@ -65,140 +68,187 @@ class KeypointTracker:
 
     Parameters
     ----------
-    believed : what is made of what was found in a region; None calibrates it
+    estimator : CoarseToFineEstimator
+        Finds keypoints in single frames.
+    metadata : CheckpointMetadata
+        Of its networks.
+    calibrate : callable, optional
+        From detections and the crop geometry to calibrated detections. Default: `metadata.calibrated`.
     """
 
     def __init__(
-        self, finder: CoarseToFineEstimator, header: CheckpointMetadata, believed: Believed | None = None
+        self,
+        estimator: CoarseToFineEstimator,
+        metadata: CheckpointMetadata,
+        calibrate: Calibrate | None = None,
     ) -> None:
-        self._finder = finder
-        self._header = header
-        self._believed = believed or header.calibrated
-        self._sure = SURE_SHARE * header.calibration.usual
+        self._estimator = estimator
+        self._metadata = metadata
+        self._calibrate = calibrate or metadata.calibrated
+        self._sure_peak = SURE_SHARE * metadata.calibration.normalising_peak
         self._last: FloatArray | None = None
-        self._step = np.zeros((len(header.keypoints), 2))
+        self._velocity = np.zeros((len(metadata.keypoints), 2))
         self._until_check = 0
         self._is_sure = False
-        self._passed_over = 0
-        self._known: list[_Known | None] = [None] * len(header.keypoints)
+        self._dropped_frames = 0
+        self._at_rest: list[_AtRest | None] = [None] * len(metadata.keypoints)
 
     def pass_over(self, frames: int) -> None:
-        """Say that so many frames, the next ones of the video, will not be given: keypoints move on meanwhile."""
-        self._passed_over += frames
+        """Say that the next so many frames of the video are dropped: keypoints move on during them."""
+        self._dropped_frames += frames
 
     def detect(self, frames: Frames) -> Detections:
-        """Keypoints of the video's next frames, (N, H, W, 3) uint8 RGB, calibrated."""
-        h, w = frames[0].shape[:2]
-        self._region = self._header.region_for((w, h))
-        # The first frame tells where to look in the others.
-        begin = 1 if self._last is None else 0
-        parts = [self._next(frames[:begin])] if begin else []
-        parts += [self._next(frames[i : i + AHEAD]) for i in range(begin, len(frames), AHEAD)]
-        return self._believed(self._followed_back(frames, concatenated(parts)), self._region)
+        """Find the keypoints in the video's next frames.
 
-    def _followed_back(self, frames: Frames, found: Detections) -> Detections:
-        """What was found, with frames in which something was lost looked at once more from those after them.
+        Parameters
+        ----------
+        frames : sequence of ndarray of uint8, shape (H, W, 3)
+            RGB, all of one size.
 
-        A tip that comes out from behind something is often found again before the next one is; where it was a moment
-        earlier is then known. As when following forward, patches must show each keypoint; the locator, which was not
-        sure in these frames, is not asked again.
+        Returns
+        -------
+        Detections
+            (N, K), calibrated.
         """
-        seen: BoolArray = np.asarray(self._seen(found).all(axis=1))
+        h, w = frames[0].shape[:2]
+        geometry = self._metadata.geometry_for((w, h))
+        # The first frame says where to look in the others.
+        begin = 1 if self._last is None else 0
+        parts = [self._next(frames[:begin], geometry)] if begin else []
+        parts += [
+            self._next(frames[i : i + FRAMES_AHEAD], geometry)
+            for i in range(begin, len(frames), FRAMES_AHEAD)
+        ]
+        found = self._backward_pass(frames, concatenated(parts), geometry)
+        return self._calibrate(found, geometry)
+
+    def _next(self, frames: Frames, geometry: CropGeometry) -> Detections:
+        """Track or search the next one or two frames, and update position and velocity."""
+        if self._last is None or not self._is_sure:
+            found = self._search(frames, geometry)
+        else:
+            ahead = self._dropped_frames + np.arange(1, len(frames) + 1)[:, None, None]
+            found = self._track(frames, self._last + ahead * self._velocity, geometry)
+            self._until_check -= len(frames)
+            if self._until_check <= 0:
+                found = self._check(frames, found, geometry)
+        before, apart = (self._last, 1 + self._dropped_frames) if len(frames) == 1 else (found.xy[-2], 1)
+        self._velocity = np.zeros_like(found.xy[-1]) if before is None else (found.xy[-1] - before) / apart
+        self._last, self._dropped_frames = found.xy[-1], 0
+        return found
+
+    def _track(self, frames: Frames, expected: FloatArray, geometry: CropGeometry) -> Detections:
+        """Find keypoints near expected positions (N, K, 2) px; frames in which that fails are searched."""
+        found, wanted, new = self._reuse_static(frames, predicted_at(expected), geometry)
+        # If one point of an end moves both are looked for: the end is regressed only as a whole.
+        regressor = self._estimator.end_regressor
+        for first, second in regressor.ends if regressor else ():
+            wanted[:, first] = wanted[:, second] = wanted[:, first] | wanted[:, second]
+        found = self._estimator.refine(frames, found, geometry, wanted)
+        updated: dict[int, _AtRest] = {}
+        for i, k, rest in new:
+            # Two frames may add to one mean, the second to what the first made of it.
+            mean = updated.get(id(rest), rest)
+            mean = mean.including(found.xy[i, k], found.likelihood[i, k], found.covariance[i, k])
+            updated[id(rest)] = self._at_rest[k] = mean
+        lost = np.flatnonzero(~self._seen(found, geometry).all(axis=1)).tolist()
+        if not lost:
+            return found
+        return _with_frames(found, lost, self._search([frames[i] for i in lost], geometry))
+
+    def _reuse_static(
+        self, frames: Frames, expected: Detections, geometry: CropGeometry
+    ) -> tuple[Detections, BoolArray, list[tuple[int, int, _AtRest]]]:
+        """Take keypoints at rest from before, where their crops have not changed.
+
+        Returns
+        -------
+        found : Detections
+            (N, K): of keypoints at rest their mean so far, of the others where they are expected.
+        wanted : ndarray of bool, shape (N, K)
+            Keypoints that still have to be predicted.
+        new : list of (frame, keypoint, _AtRest)
+            Those that may be at rest and whose mean the next prediction belongs to.
+        """
+        xy, likelihood, covariance = (
+            expected.xy.copy(),
+            expected.likelihood.copy(),
+            expected.covariance.copy(),
+        )
+        poses = geometry.crop_poses(expected.xy)
+        wanted = np.ones(poses.shape[:2], bool)
+        new: list[tuple[int, int, _AtRest]] = []
+        moved_px = np.linalg.norm(self._velocity, axis=1) * geometry.crop_scale
+        resting = np.flatnonzero(moved_px < REST_CROP_PX).tolist()
+        if not self._estimator.stages.static_patches:
+            resting = []
+        for i, frame in enumerate(frames):
+            for k in resting:
+                rest = self._at_rest[k]
+                # A keypoint at rest between two poses is compared at the one where it was seen first.
+                here = rest is not None and np.abs(rest.pose - poses[i, k]).max() < SAME_POSE
+                pose = rest.pose if rest and here else np.rint(poses[i, k]).astype(int)
+                image = geometry.crop(frame, pose).image
+                if not (rest and here and rest.patch.is_static(image)):
+                    rest = _AtRest(pose, StaticPatchTest(image))
+                if rest.predictions < REST_PREDICTIONS:
+                    new.append((i, k, rest))
+                else:
+                    xy[i, k], likelihood[i, k], covariance[i, k] = rest.xy, rest.likelihood, rest.covariance
+                    wanted[i, k] = False
+        return Detections(xy, likelihood, covariance), wanted, new
+
+    def _check(self, frames: Frames, found: Detections, geometry: CropGeometry) -> Detections:
+        """What was found, unless both networks are sure of another place in the last frame."""
+        self._until_check = CHECK_EVERY
+        proposed = self._estimator.propose(frames[-1:], geometry)
+        if not self._elsewhere(proposed.xy[0], found, geometry).any():
+            return found
+        searched = self._search(frames, geometry)
+        if (self._elsewhere(searched.xy[-1], found, geometry) & self._seen(searched, geometry)[-1]).any():
+            return searched
+        self._is_sure = True
+        return found
+
+    def _elsewhere(self, xy: FloatArray, found: Detections, geometry: CropGeometry) -> BoolArray:
+        """Which keypoints (K,) at positions (K, 2) px lie elsewhere than in the last frame of what was found."""
+        return np.asarray(self._estimator.disagreement(xy, found.xy[-1], geometry) > LOST_CROP_PX)
+
+    def _search(self, frames: Frames, geometry: CropGeometry) -> Detections:
+        """Find keypoints in frames as if they were the first ones."""
+        self._until_check = CHECK_EVERY
+        found = self._estimator.detect(frames, geometry)
+        self._is_sure = bool(self._seen(found, geometry)[-1].all())
+        return found
+
+    def _backward_pass(self, frames: Frames, found: Detections, geometry: CropGeometry) -> Detections:
+        """Search lost keypoints again from the frames after them.
+
+        A tip that comes out from behind something is often found before the next one is; where it was a moment earlier
+        is then known. As in the forward pass crops must show each keypoint; the locator, which was not sure in these
+        frames, is not asked again.
+        """
+        if not self._estimator.stages.backward_pass:
+            return found
+        seen: BoolArray = np.asarray(self._seen(found, geometry).all(axis=1))
         for i in range(len(frames) - 2, -1, -1):
             if seen[i] or not seen[i + 1]:
                 continue
             after = found.xy[i + 1]
             step = after - found.xy[i + 2] if i + 2 < len(frames) and seen[i + 2] else np.zeros_like(after)
-            again = self._finder.refined(
-                frames[i : i + 1], (after + step)[None], self._region, self._header.reference
-            )
-            if self._seen(again).all():
-                found, seen[i] = _with(found, [i], again), True
+            again = self._estimator.refine(frames[i : i + 1], (after + step)[None], geometry)
+            if self._seen(again, geometry).all():
+                found, seen[i] = _with_frames(found, [i], again), True
         return found
 
-    def _next(self, frames: Frames) -> Detections:
-        if self._last is None or not self._is_sure:
-            found = self._search(frames)
-        else:
-            ahead = self._passed_over + np.arange(1, len(frames) + 1)[:, None, None]
-            found = self._look(frames, predicted_at(self._last + ahead * self._step))
-            self._until_check -= len(frames)
-            if self._until_check <= 0:
-                found = self._checked(frames, found)
-        before, apart = (self._last, 1 + self._passed_over) if len(frames) == 1 else (found.xy[-2], 1)
-        self._step = np.zeros_like(found.xy[-1]) if before is None else (found.xy[-1] - before) / apart
-        self._last, self._passed_over = found.xy[-1], 0
-        return found
-
-    def _look(self, frames: Frames, found: Detections) -> Detections:
-        """Find keypoints near where they are foretold; frames in which that fails are searched."""
-        region, reference = self._region, self._header.reference
-        moved_px = np.linalg.norm(self._step, axis=1) * region.refiner_scale
-        resting = np.flatnonzero(moved_px < RESTING_PATCH_PX).tolist()
-        expected = places(found.xy, region, reference)
-        wanted = np.ones(expected.shape[:2], bool)
-        anew: list[tuple[int, int, _Known]] = []
-        for i, frame in enumerate(frames):
-            for k in resting:
-                known, anywhere = self._known[k], expected[i, k]
-                # What rests between two places is compared at the one where it was seen first.
-                here = known is not None and np.abs(known.place - anywhere).max() < SAME_PLACE
-                place = known.place if known and here else np.rint(anywhere).astype(int)
-                picture = crop_patch(frame, place, region).picture
-                if not (known and here and known.find_actuator.is_still(picture)):
-                    known = _Known(place, StaticPatchTest(picture))
-                if known.times < ENOUGH:
-                    anew.append((i, k, known))
-                else:
-                    found.xy[i, k], found.likelihood[i, k] = known.xy, known.likelihood
-                    found.covariance[i, k] = known.covariance
-                    wanted[i, k] = False
-        # Of an end of which one point moves both are looked for: it is seen closer only as a whole.
-        for first, second in self._finder.align.ends if self._finder.align else ():
-            wanted[:, first] = wanted[:, second] = wanted[:, first] | wanted[:, second]
-        self._finder.settle(found, wanted, frames, region, reference)
-        for i, k, known in anew:
-            known.add(found.xy[i, k], found.likelihood[i, k], found.covariance[i, k])
-            self._known[k] = known
-        lost = np.flatnonzero(~self._seen(found).all(axis=1)).tolist()
-        return _with(found, lost, self._search([frames[i] for i in lost])) if lost else found
-
-    def _checked(self, frames: Frames, found: Detections) -> Detections:
-        """What was found, unless the locator would look elsewhere in the last frame, and both are sure of it there."""
-        self._until_check = CHECK_EVERY
-        located, _ = self._finder.located(frames[-1:], self._region)
-        if not self._elsewhere(located[0], found).any():
-            return found
-        searched = self._search(frames)
-        if (self._elsewhere(searched.xy[-1], found) & self._seen(searched)[-1]).any():
-            return searched
-        self._is_sure = True
-        return found
-
-    def _elsewhere(self, xy: FloatArray, found: Detections) -> np.ndarray:
-        apart = self._finder.apart(xy, found.xy[-1], self._region, self._header.reference)
-        return np.asarray(apart > LOST_PATCH_PX)
-
-    def _search(self, frames: Frames) -> Detections:
-        self._until_check = CHECK_EVERY
-        found = self._finder.detect(frames, self._region, self._header.reference)
-        self._is_sure = bool(self._seen(found)[-1].all())
-        return found
-
-    def _seen(self, found: Detections) -> BoolArray:
-        """Which keypoints (N, K) are seen well enough, and not far from where their partners say."""
-        return np.asarray((found.likelihood >= self._sure) & self._header.fits(found.xy, self._region))
+    def _seen(self, found: Detections, geometry: CropGeometry) -> BoolArray:
+        """Which keypoints (N, K) have a high enough peak and a plausible distance from their reference keypoints."""
+        plausible = self._metadata.plausible_distances(found.xy, geometry)
+        return np.asarray((found.likelihood >= self._sure_peak) & plausible)
 
 
-def _with(found: Detections, rows: Sequence[int], others: Detections) -> Detections:
-    """Detections with some rows replaced."""
-    parts = [
-        (found.xy, others.xy),
-        (found.likelihood, others.likelihood),
-        (found.covariance, others.covariance),
-    ]
-    replaced = []
-    for own, other in parts:
-        replaced.append(own.copy())
-        replaced[-1][rows] = other
-    return Detections(*replaced)
+def _with_frames(found: Detections, rows: Sequence[int], others: Detections) -> Detections:
+    """Detections (N, K) in which some frames are replaced by others."""
+    xy, likelihood, covariance = found.xy.copy(), found.likelihood.copy(), found.covariance.copy()
+    xy[rows], likelihood[rows], covariance[rows] = others.xy, others.likelihood, others.covariance
+    return Detections(xy, likelihood, covariance)

@@ -1,7 +1,7 @@
-"""A network that is asked twice about every patch, as it is and mirrored, where nobody has labelled anything.
+"""Flip test-time augmentation: each crop is predicted as it is and mirrored, and both predictions are averaged.
 
-Both sides of an actuator are alike to a network that was pretrained with mirrored pictures: what it takes one for the
-other in by chance cancels. (On rendered looks the ends' directions are off by a fifth less.)
+For networks pretrained on mirrored images, in videos without labels. Both sides of an actuator look alike to such a
+network, so errors that depend on the side cancel. On rendered actuators the ends' directions are off by a fifth less.
 """
 
 from __future__ import annotations
@@ -9,22 +9,28 @@ from __future__ import annotations
 import numpy as np
 
 from ...tracker.types import Detections, ImageArray
-from .coarse_to_fine import AGREED_PATCH_PX, Predictor, agreed, halves
+from .coarse_to_fine import AGREEMENT_CROP_PX, Predictor, average_predictions, halves
 
 
 class FlipAugmentedPredictor:
-    """A reader of square patches whose keypoints' direction is upright, that asks another one about both sides."""
+    """A predictor that averages another one over both mirror images of a square, upright crop.
 
-    def __init__(self, reader: Predictor) -> None:
-        self._reader = reader
+    Parameters
+    ----------
+    predictor : Predictor
+        Asked for both images of every crop.
+    """
 
-    def __call__(self, pictures: ImageArray) -> Detections:
-        """Every keypoint in pictures (N, 3, H, W) uint8."""
-        height = pictures.shape[2]
-        one, other = halves(self._reader(np.concatenate([pictures, pictures[:, :, ::-1]])))
-        turned_back = Detections(
-            np.stack([other.xy[..., 0], height - 1 - other.xy[..., 1]], axis=-1),
-            other.likelihood,
-            other.covariance * np.array([[1, -1], [-1, 1]]),
+    def __init__(self, predictor: Predictor) -> None:
+        self._predictor = predictor
+
+    def __call__(self, images: ImageArray) -> Detections:
+        """Predict every keypoint in images (N, 3, H, W) uint8."""
+        height = images.shape[2]
+        plain, mirrored = halves(self._predictor(np.concatenate([images, images[:, :, ::-1]])))
+        flipped_back = Detections(
+            np.stack([mirrored.xy[..., 0], height - 1 - mirrored.xy[..., 1]], axis=-1),
+            mirrored.likelihood,
+            mirrored.covariance * np.array([[1, -1], [-1, 1]]),
         )
-        return agreed(one, turned_back, AGREED_PATCH_PX)
+        return average_predictions(plain, flipped_back, AGREEMENT_CROP_PX)

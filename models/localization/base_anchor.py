@@ -1,51 +1,53 @@
-"""Finding an actuator in the frames of a video of which it is known where it is held and how long it is."""
+"""The base-anchored estimator: it knows where an actuator's fixed end is, and how long its body is."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...tracker.types import FloatArray, Frames
+from ...tracker.types import Detections, FloatArray, Frames
 from ..inference.calibration import Calibration
-from ..inference.coarse_to_fine import CoarseToFineEstimator
-from ..inference.roi import RegionOfInterest, orientations, turned
+from ..inference.coarse_to_fine import CoarseToFineEstimator, predicted_at
+from ..inference.crops import CropGeometry
+from ..inference.roi import turned
 from .chain_assembly import assemble_chain
 
 SLIDE_WEIGHT = 0.5
-"""What a distance along the body counts, between its ends, where locator and refiner say where a keypoint is."""
+"""Weight of a distance along the body, between its ends, where locator and refiner are compared."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BaseAnchoredEstimator(CoarseToFineEstimator):
-    """A finder that knows where the actuator is held and how long it is: of the places offered it takes those that fit.
+    """A coarse-to-fine estimator that assembles the locator's candidate peaks to a chain from the fixed end.
 
     Attributes
     ----------
-    fixed_xy : (2,) px, where the fixed end is
-    body_px : the body's length
-    calibration : this video's, which says what a peak is worth
+    fixed_xy : ndarray of float, shape (2,)
+        Position of the fixed end, px.
+    body_px : float
+        Length of the body, px.
+    calibration : Calibration
+        This video's, which turns peaks into likelihoods.
     """
 
     fixed_xy: FloatArray
     body_px: float
     calibration: Calibration
-    thorough: bool = True
+    shift_ends: bool = True
 
-    def _located(self, frames: Frames, region: RegionOfInterest) -> tuple[FloatArray, FloatArray]:
-        xy, peak = self.offered(frames, region)
+    def _propose(self, frames: Frames, geometry: CropGeometry) -> Detections:
+        """The best chain through the candidates in the region of interest."""
+        xy, peak = self.candidate_peaks(frames, geometry.region)
         likelihood = self.calibration.likelihood(peak)
         xy, likelihood = assemble_chain(xy, likelihood, self.fixed_xy, self.body_px)
-        return xy, likelihood * self.calibration.usual
+        return replace(predicted_at(xy), likelihood=likelihood * self.calibration.normalising_peak)
 
-    def apart(
-        self, located: FloatArray, found: FloatArray, region: RegionOfInterest, reference: Sequence[int]
-    ) -> FloatArray:
-        """As `CoarseToFineEstimator.apart`; between the chain's ends a distance along it counts for less.
+    def disagreement(self, proposed: FloatArray, refined: FloatArray, geometry: CropGeometry) -> FloatArray:
+        """As `CoarseToFineEstimator.disagreement`; between the chain's ends a distance along it has less weight.
 
         Nothing shows where on a smooth body a point of the midline lies, nor where a straight end begins to bend.
         """
-        step = turned(found - located, -orientations(found, reference))
+        step = turned(refined - proposed, -geometry.orientations(refined))
         step[..., 1:-1, 0] *= SLIDE_WEIGHT
-        return super().apart(np.zeros_like(step), step, region, reference)
+        return super().disagreement(np.zeros_like(step), step, geometry)

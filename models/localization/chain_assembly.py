@@ -1,8 +1,7 @@
-"""Which of the places that a locator offers for each keypoint make up one actuator, held where it is held.
+"""Skeleton assembly: the best chain through the locator's candidate peaks, by dynamic programming.
 
-By itself every keypoint is at its heatmap's highest peak, wherever those of the others are. Together they are a chain
-that begins at the fixed end, whose neighbours lie neither on each other nor far apart, and which does not turn back on
-itself; the best chain is found by dynamic programming over pairs of neighbours.
+By itself every keypoint is at its heatmap's highest peak, wherever the others are. Together they are a chain that
+begins at the fixed end, whose neighbours are neither too close nor too far apart, and that does not turn back.
 """
 
 from __future__ import annotations
@@ -12,72 +11,79 @@ import numpy as np
 from ...tracker.types import FloatArray, IntArray
 
 NEAREST_END, NEAREST, FURTHEST = 0.25, 0.55, 1.6
-"""Neighbours on the chain lie so far apart, as a share of an even spacing; the two points of an end may be closer."""
+"""Range of the distance between neighbours, as a share of an even spacing; the two points of an end may be closer."""
 
-HELD = 0.05
-"""The first keypoint lies within so much of the body's length of the fixed end."""
+ANCHOR = 0.05
+"""Distance of the first keypoint from the fixed end, in body lengths, that costs nothing."""
 
 PENALTY = 30.0
-"""What a length of the body beyond those costs: a tenth of it as much as a peak that is twenty times lower."""
+"""Cost of each body length beyond these ranges, in log likelihood: a tenth of it equals a peak twenty times lower."""
 
-SHARPEST_COS = 0.2
-"""A chain turns from neighbour to neighbour by up to 80 degrees."""
+MIN_TURN_COS = 0.2
+"""Cosine of the largest turn between neighbouring steps that costs nothing: about 80 degrees."""
 
 TURN_PENALTY = 10.0
-"""What a cosine less than that costs: turning right back is out of the question."""
+"""Cost of each unit of cosine below that, in log likelihood: a chain never turns right back."""
 
-LOWEST_PEAK = 1e-3
+MIN_PEAK = 1e-3
+"""Peaks are not taken for lower, so that one unseen keypoint does not decide alone."""
 
 
 def assemble_chain(
     xy: FloatArray, likelihood: FloatArray, fixed_xy: FloatArray, body_px: float
 ) -> tuple[FloatArray, FloatArray]:
-    """The best chains through offered places, from the fixed end on, whichever end the network took for that.
+    """The best chains through candidate peaks, from the fixed end on, whichever end the network took for it.
 
     Parameters
     ----------
-    xy, likelihood : (N, K, M, 2) px and (N, K, M), in the order of the chain, K > 2; likelihoods in [0, 1]
-    fixed_xy : (2,) px, where the first keypoint is held
-    body_px : the body's length
+    xy : ndarray of float, shape (N, K, M, 2)
+        M candidate positions of each keypoint, px, in the order of the chain, K > 2.
+    likelihood : ndarray of float, shape (N, K, M)
+        In [0, 1].
+    fixed_xy : ndarray of float, shape (2,)
+        The fixed end, px.
+    body_px : float
+        Length of the body, px.
 
     Returns
     -------
-    Positions (N, K, 2) px and their likelihoods (N, K).
+    xy : ndarray of float, shape (N, K, 2)
+    likelihood : ndarray of float, shape (N, K)
     """
-    as_said = _best_chain(xy, likelihood, fixed_xy, body_px)
-    turned = _best_chain(xy[:, ::-1], likelihood[:, ::-1], fixed_xy, body_px)
-    better = as_said[2] >= turned[2]
+    forward = _best_chain(xy, likelihood, fixed_xy, body_px)
+    backward = _best_chain(xy[:, ::-1], likelihood[:, ::-1], fixed_xy, body_px)
+    better = forward[2] >= backward[2]
     return (
-        np.where(better[:, None, None], as_said[0], turned[0]),
-        np.where(better[:, None], as_said[1], turned[1]),
+        np.where(better[:, None, None], forward[0], backward[0]),
+        np.where(better[:, None], forward[1], backward[1]),
     )
 
 
 def _best_chain(
     xy: FloatArray, likelihood: FloatArray, fixed_xy: FloatArray, body_px: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Positions (N, K, 2), likelihoods (N, K) and worth (N,) of the best chains that begin with the first keypoint."""
+    """Positions (N, K, 2), likelihoods (N, K) and scores (N,) of the best chains that begin with the first keypoint."""
     n, k = likelihood.shape[:2]
-    worth = np.log(np.maximum(likelihood, LOWEST_PEAK))
+    score = np.log(np.maximum(likelihood, MIN_PEAK))
     away = np.linalg.norm(xy[:, 0] - fixed_xy, axis=2) / body_px
-    worth[:, 0] -= PENALTY * np.maximum(away - HELD, 0)
-    # From every place of one keypoint to every place of the next, in lengths of the body: (N, K - 1, M, M, 2).
+    score[:, 0] -= PENALTY * np.maximum(away - ANCHOR, 0)
+    # From every candidate of one keypoint to every candidate of the next, in body lengths: (N, K - 1, M, M, 2).
     step = (xy[:, 1:, None] - xy[:, :-1, :, None]) / body_px
     length = np.linalg.norm(step, axis=-1)
     nearest = np.full(k - 1, NEAREST / (k - 1))
     nearest[[0, -1]] = NEAREST_END / (k - 1)
     too_close = np.maximum(nearest[:, None, None] - length, 0)
     off = PENALTY * (np.maximum(length - FURTHEST / (k - 1), 0) + too_close)
-    best = worth[:, 0, :, None] + worth[:, 1, None] - off[:, 0]
+    best = score[:, 0, :, None] + score[:, 1, None] - off[:, 0]
     came_from: list[IntArray] = []
     for i in range(2, k):
         along = np.einsum("nabx,nbcx->nabc", step[:, i - 2], step[:, i - 1])
-        # Steps shorter than the least have no direction to speak of.
+        # The direction of steps shorter than the least distance has little weight.
         lengths = length[:, i - 2, :, :, None] * length[:, i - 1, None] + nearest[0] ** 2
-        turn = TURN_PENALTY * np.maximum(SHARPEST_COS - along / lengths, 0)
+        turn = TURN_PENALTY * np.maximum(MIN_TURN_COS - along / lengths, 0)
         through = best[..., None] - turn
         came_from.append(through.argmax(axis=1))
-        best = through.max(axis=1) - off[:, i - 1] + worth[:, i, None]
+        best = through.max(axis=1) - off[:, i - 1] + score[:, i, None]
     rows, m = np.arange(n), likelihood.shape[2]
     chosen = np.empty((n, k), int)
     chosen[:, -2], chosen[:, -1] = np.divmod(best.reshape(n, -1).argmax(axis=1), m)

@@ -1,8 +1,8 @@
-"""Which way a straight end points, told by its two sides, where nobody has labelled anything.
+"""The direction of a straight end, estimated from its two edges, in videos without labels.
 
-A network errs in much the same way in every picture of a look that it has not learnt from. The sides of an end are seen
-in all of them, and their mean picture, in which what is behind a moving end blurs, shows them well. An end
-may taper and its corners be round, the same on both sides: halfway between them lies the line that it points along.
+On an actuator that it has not learnt, a network makes much the same error in every frame. The edges of an end are
+visible in all frames, and clear in their mean crop, in which the background of a moving end is blurred. An end may
+taper and have round corners, the same on both sides: the bisector of both edges is the direction of the end.
 """
 
 from __future__ import annotations
@@ -16,150 +16,162 @@ from scipy.stats import theilslopes
 from ...tracker.types import FloatArray, ImageArray, IntArray
 
 SMOOTH_PX = 1.2
-"""Noise and the pixels' own grid are smoothed away, standard deviation."""
+"""Standard deviation of the smoothing that removes noise and the pixel grid, px."""
 
 BEGIN, END = -0.45, 0.4
-"""Which part of an end is looked at, as shares of its length from its middle: without corners and what holds it."""
+"""The part of an end that is used, as shares of its length from its centre: without corners and clamp."""
 
 NEAREST_PX = 3
-"""How far from an end's middle line its sides lie at least."""
+"""Least distance of an edge from the end's centre line, px."""
 
 TURNS_DEG = np.linspace(-10.0, 10.0, 81)
-"""How far a side may be turned from where the end was thought to point."""
+"""Turns of an edge from the expected direction that are tried, degrees."""
 
-BELIEVED_DEG = 8.0
-"""A side that is turned further is the edge of something else."""
+MAX_TURN_DEG = 8.0
+"""An edge that is turned further belongs to something else."""
 
-FAINTEST = 0.1
-"""What changes across an edge at least, in squared grey levels per px."""
+MIN_CONTRAST = 0.1
+"""Least contrast across an edge, squared grey levels per px^2."""
 
-COLUMNS, LEAST_COLUMNS = 16, 6
-"""Places along an end at which its sides are looked for by themselves, and without how many it is too short."""
+COLUMNS, MIN_COLUMNS = 16, 6
+"""Positions along an end at which its edges are located one by one; with fewer the end is too short."""
 
 REACH_PX = 4
-"""How far a side may lie at one of these places from where it lies along the whole end."""
+"""Largest distance of an edge at one of these positions from its line along the whole end, px."""
 
 LINE_PX = 2.0
-"""An edge along the whole end may be blurred or bent by so much."""
+"""Blur or bend of an edge along the whole end that is tolerated, px."""
 
 EDGE_PX, WINDOW_PX = 2.5, 6
-"""How wide an edge is (standard deviation), and how much beside it is looked at."""
+"""Width of an edge (standard deviation), and how far to each side of it is compared, px."""
 
 TAPER_DEG, TAPER_SD_DEG = 0.8, 1.0
-"""How far the sides of ends are usually turned toward each other, each: where only one is seen, and where two are that
-do not fit."""
+"""Usual taper of each edge and its standard deviation, degrees, for ends with one visible edge or two that disagree."""
 
 SIDES_SD_DEG = 0.4
-"""How far halfway between two sides is usually turned from the end, however well they are seen."""
+"""Standard deviation of the bisector about the end's direction, degrees, however clear both edges are."""
 
 LINE_SD = 2.5
-"""Edges lie along a line by chance only in part: its standard deviation counts so many times."""
+"""Factor on the standard deviation of a line fitted to an edge: neighbouring positions are not independent."""
 
-USUAL_DEG = 1.5
-"""How far a network usually errs about a look's ends."""
+NETWORK_SD_DEG = 1.5
+"""Standard deviation of a network's error in an end's direction on an actuator that it has not learnt, degrees."""
 
 
-def orientation_from_edges(pictures: Sequence[ImageArray], length_px: float) -> float:
-    """How far an end is turned from the direction to the right in pictures of it, in rad, from x toward y.
+def orientation_from_edges(crops: Sequence[ImageArray], length_px: float) -> float:
+    """Estimate an end's direction from its edges.
 
-    As much of what its sides say as they are sure of, beside how far networks usually err.
+    The estimate is shrunk toward 0 by the ratio of its variance to the network's.
 
     Parameters
     ----------
-    pictures : (side, side, 3) uint8, the end's middle in theirs and the end about along x
-    length_px : of the end in them
+    crops : sequence of ndarray of uint8, shape (side, side, 3)
+        High-resolution crops, the end's centre in theirs and the end about along x.
+    length_px : float
+        Length of the end in them, px.
+
+    Returns
+    -------
+    float
+        Turn from the x direction, rad, toward y.
     """
-    mean = cv2.GaussianBlur(np.mean(pictures, axis=0, dtype=np.float32), (0, 0), SMOOTH_PX)
-    turn_deg, sd_deg = _seen_turn(mean, length_px)
-    return float(np.radians(turn_deg * USUAL_DEG**2 / (USUAL_DEG**2 + sd_deg**2)))
+    mean = cv2.GaussianBlur(np.mean(crops, axis=0, dtype=np.float32), (0, 0), SMOOTH_PX)
+    turn_deg, sd_deg = _best_turn(mean, length_px)
+    return float(np.radians(turn_deg * NETWORK_SD_DEG**2 / (NETWORK_SD_DEG**2 + sd_deg**2)))
 
 
-def _seen_turn(picture: FloatArray, length_px: float) -> tuple[float, float]:
-    """The turn in degrees that is told best, by both sides or by one, and its standard deviation."""
-    middle = (len(picture) - 1) / 2
-    begin, end = np.clip(np.rint(middle + length_px * np.array([BEGIN, END])), 0, len(picture) - 1)
+def _best_turn(image: FloatArray, length_px: float) -> tuple[float, float]:
+    """The most certain estimate of the turn, from both edges or from one, and its standard deviation, degrees."""
+    middle = (len(image) - 1) / 2
+    begin, end = np.clip(np.rint(middle + length_px * np.array([BEGIN, END])), 0, len(image) - 1)
     columns = np.unique(np.linspace(begin, end, COLUMNS).astype(int))
-    if len(columns) < LEAST_COLUMNS:
+    if len(columns) < MIN_COLUMNS:
         return 0.0, np.inf
     along = columns - middle
-    change = _change(picture, columns)
-    upper, lower = (_side(picture, columns, change, sign) for sign in (-1, 1))
-    told = []
+    contrast = _line_contrast(image, columns)
+    upper, lower = (_edge(image, columns, contrast, sign) for sign in (-1, 1))
+    estimates = []
     if upper is not None and lower is not None:
         turn_deg, sd_deg = _line(along, (upper + lower) / 2)
         taper_deg, _ = _line(along, (upper - lower) / 2)
         unusual_deg = max(0.0, abs(taper_deg - TAPER_DEG) - 2 * TAPER_SD_DEG)
-        told.append((turn_deg, float(np.hypot(sd_deg, unusual_deg / 2))))
+        estimates.append((turn_deg, float(np.hypot(sd_deg, unusual_deg / 2))))
     for side, tapering in ((upper, TAPER_DEG), (lower, -TAPER_DEG)):
         if side is not None:
             turn_deg, sd_deg = _line(along, side)
-            told.append((turn_deg - tapering, float(np.hypot(sd_deg, TAPER_SD_DEG))))
-    return min(told, key=lambda turn: turn[1], default=(0.0, np.inf))
+            estimates.append((turn_deg - tapering, float(np.hypot(sd_deg, TAPER_SD_DEG))))
+    return min(estimates, key=lambda turn: turn[1], default=(0.0, np.inf))
 
 
 def _line(along: FloatArray, across: FloatArray) -> tuple[float, float]:
-    """Turn in degrees of the line through most of some positions, and its standard deviation."""
+    """Turn of a line fitted robustly to positions (Theil-Sen), and its standard deviation, degrees."""
     slope, _, low, high = theilslopes(across, along, alpha=0.68)
     sd = np.hypot(LINE_SD * np.degrees(high - low) / 2, SIDES_SD_DEG)
     return float(np.degrees(np.arctan(slope))), float(sd)
 
 
-def _side(picture: FloatArray, columns: IntArray, change: FloatArray, sign: int) -> FloatArray | None:
-    """Where one side of an end lies in each of some columns, px below the picture's middle.
+def _edge(image: FloatArray, columns: IntArray, contrast: FloatArray, sign: int) -> FloatArray | None:
+    """Position of one edge of an end in some columns, px below the image's centre; None without a clear edge.
 
-    change : from `_change`
-    sign : -1 for the side above, +1 for that below; None where the strongest edge there is not a side
+    Parameters
+    ----------
+    image, columns
+        The mean crop, and the columns.
+    contrast : ndarray of float
+        From `_line_contrast`.
+    sign : int
+        -1 for the edge above, +1 for the edge below.
     """
-    middle = (len(picture) - 1) / 2
-    beside = np.where(sign * (np.arange(len(picture)) - middle) >= NEAREST_PX, change, 0.0)
-    best, row = np.unravel_index(int(np.argmax(beside)), beside.shape)
+    middle = (len(image) - 1) / 2
+    one_side = np.where(sign * (np.arange(len(image)) - middle) >= NEAREST_PX, contrast, 0.0)
+    best, row = np.unravel_index(int(np.argmax(one_side)), one_side.shape)
     turn_deg = float(TURNS_DEG[best])
-    if abs(turn_deg) > BELIEVED_DEG or beside[best, row] < FAINTEST:
+    if abs(turn_deg) > MAX_TURN_DEG or one_side[best, row] < MIN_CONTRAST:
         return None
     lean = np.tan(np.radians(turn_deg))
-    beside_row = _beside_edge(_level(picture, turn_deg), columns, int(row))
-    return row - middle + lean * (columns - middle) + beside_row
+    offset = _edge_offset(_level(image, turn_deg), columns, int(row))
+    return row - middle + lean * (columns - middle) + offset
 
 
-def _change(picture: FloatArray, columns: IntArray) -> FloatArray:
-    """How much changes across straight lines through some columns, by turn (`TURNS_DEG`) and row in their middle."""
-    changes = []
+def _line_contrast(image: FloatArray, columns: IntArray) -> FloatArray:
+    """Contrast across straight lines through some columns, by turn (`TURNS_DEG`) and row at the centre."""
+    contrasts = []
     for turn_deg in TURNS_DEG:
-        profile = _level(picture, turn_deg)[:, columns[0] : columns[-1] + 1].mean(axis=1)
-        change = np.square(np.gradient(profile, axis=0)).sum(axis=1, keepdims=True)
-        changes.append(cv2.GaussianBlur(change, (0, 0), LINE_PX)[:, 0])
-    return np.stack(changes)
+        profile = _level(image, turn_deg)[:, columns[0] : columns[-1] + 1].mean(axis=1)
+        contrast = np.square(np.gradient(profile, axis=0)).sum(axis=1, keepdims=True)
+        contrasts.append(cv2.GaussianBlur(contrast, (0, 0), LINE_PX)[:, 0])
+    return np.stack(contrasts)
 
 
-def _beside_edge(level: FloatArray, columns: IntArray, row: int) -> FloatArray:
-    """How far below a row an edge lies in some columns, where it looks most like its mean, px."""
+def _edge_offset(level: FloatArray, columns: IntArray, row: int) -> FloatArray:
+    """Distance of an edge below a row in some columns, px, where it correlates best with its mean."""
     margin = WINDOW_PX + REACH_PX
     edges = np.pad(np.gradient(level, axis=0), ((margin, margin), (0, 0), (0, 0)))
     edges = edges[row : row + 2 * margin + 1]
     window = slice(REACH_PX, -REACH_PX)
     weight = np.exp(-0.5 * np.square(np.arange(-WINDOW_PX, WINDOW_PX + 1) / EDGE_PX))
     usual = weight[:, None] * edges[window, columns[0] : columns[-1] + 1].mean(axis=1)
-    likeness = np.stack(
+    correlation = np.stack(
         [
             np.einsum("wxc,wc->x", edges[shift : shift + len(usual)], usual)
             for shift in range(2 * REACH_PX + 1)
         ]
     )
     width = max(1, (columns[-1] - columns[0]) // COLUMNS)
-    return _highest(cv2.blur(likeness, (width, 1))[:, columns]) - REACH_PX
+    return _argmax_rows(cv2.blur(correlation, (width, 1))[:, columns]) - REACH_PX
 
 
-def _level(picture: FloatArray, turn_deg: float) -> FloatArray:
-    """The picture sheared about its middle so that a line turned by so much is level."""
-    lean, middle = np.tan(np.radians(turn_deg)), (len(picture) - 1) / 2
+def _level(image: FloatArray, turn_deg: float) -> FloatArray:
+    """The image sheared about its centre so that a line with this turn is level."""
+    lean, middle = np.tan(np.radians(turn_deg)), (len(image) - 1) / 2
     shear = np.array([[1.0, 0.0, 0.0], [lean, 1.0, -lean * middle]])
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
-    size = picture.shape[1], picture.shape[0]
-    return cv2.warpAffine(picture, shear, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    size = image.shape[1], image.shape[0]
+    return cv2.warpAffine(image, shear, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
 
 
-def _highest(values: FloatArray) -> FloatArray:
-    """Where columns (N, M) are highest, (M,), between the rows by a parabola through three of them."""
+def _argmax_rows(values: FloatArray) -> FloatArray:
+    """Row of each column's maximum (N, M) -> (M,), interpolated by a parabola through three rows."""
     rows = np.clip(values.argmax(axis=0), 1, len(values) - 2)
     before, here, after = (values[rows + step, np.arange(values.shape[1])] for step in (-1, 0, 1))
     bend = before - 2 * here + after

@@ -1,8 +1,7 @@
-"""Finding an actuator that nobody has labelled: where in a video it is, how large, and which of its ends is fixed.
+"""Zero-shot localisation: the actuator of a video that nobody has labelled.
 
-A network that knows actuators in general (`pretraining.py`) finds canonical points in single pictures. A video tells
-more: the fixed end is the one that does not move, so it is where all glimpses together say, and the actuator is the
-same one all the time. What comes out is a header for this video, with which the network is put to work like any other.
+From probe frames spread over the video: their consensus, a network fitted to the video where it is needed, the pose of
+the moving end, the direction of both ends. The result measures every frame of the video.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ import numpy as np
 from ...tracker.errors import VideoError
 from ...tracker.types import BoolArray, Detections, FloatArray, Frames
 from ..inference.coarse_to_fine import CoarseToFineEstimator, EndRegressor
-from ..inference.crops import CLOSER, crop_end, move_ends
+from ..inference.crops import END_MAGNIFICATION, crop_end, move_ends
 from ..inference.metadata import CheckpointMetadata
 from ..inference.roi import RegionOfInterest
 from .base_anchor import BaseAnchoredEstimator
@@ -31,162 +30,177 @@ from .probe_frames import (
 )
 
 MIN_INLIER_SHARE = 0.6
-"""Share of the glimpses that must show the same actuator, or the angles would be mostly guessed, and guesses learnt."""
+"""Share of the probe frames that must agree on one actuator; with fewer, most angles would be guesses."""
 
-LEAST_SURE, MOST_SURE = 8, 0.95
-"""Glimpses that an actuator is learnt from: so many, but not such a share that there is nothing to learn: then the
-network is about as exact as it is."""
+MIN_SURE, MAX_SURE_SHARE = 8, 0.95
+"""Positive probe frames that self-training needs, and the share of all from which it is not worth its time."""
 
-ACROSS_SHARE = 0.55
-"""How far ends lie off across their direction that were seen closer and turned by their sides, as a share of what the
-network says of itself (rms over the frames of a video; 26 of 38 looks of the training families err less, one in ten
-more than 1.4 times as much). It knows nothing of either."""
+ACROSS_SD_SHARE = 0.55
+"""Factor on the predicted sd across the end's axis after both corrections (end regression, edge orientation): rms over
+the frames of a video; 26 of 38 training looks fall below it, one in ten is more than 1.4 times above."""
 
-Closer = Callable[[Frames, FloatArray, BoolArray, RegionOfInterest], tuple[FloatArray, EndRegressor | None]]
-"""From glimpses, positions (N, K, 2) px found in them, which count, and the region: better ones, and what tells in
-other frames how the moving end lies."""
+FitEnds = Callable[[Frames, FloatArray, BoolArray, RegionOfInterest], tuple[FloatArray, EndRegressor | None]]
+"""From probe frames, positions (N, K, 2) px, inliers (N,) and the region: corrected positions, and an end regressor."""
 
-Taught = Callable[[Frames, PseudoLabels, RegionOfInterest], CoarseToFineEstimator | None]
-"""From glimpses, what can be learnt by them, and the region: a finder that has learnt it, None where that fails."""
+FitNetwork = Callable[[Frames, PseudoLabels, RegionOfInterest], CoarseToFineEstimator | None]
+"""From probe frames, their pseudo-labels and the region: an estimator fitted to the video; None where that fails."""
 
 
 @dataclass(frozen=True)
 class LocalizedActuator:
-    """An actuator in a video.
+    """An actuator found in a video.
 
     Attributes
     ----------
-    header : the network's for this video: region, the angle's sign, usual peaks, the moving end's length
-    finder : knows where the fixed end is, and the body's length
-    fixed : the fixed end's points (1, 2), calibrated, and turned as its sides say
-    end_px : length of the moving end
-    turn_rad : by which the moving end is to be turned, from x toward y, to point along its sides
-    across_share : of what the network says of itself, how far the moving end lies off across its direction
-    seen : share of the glimpses in which the actuator was seen, held where it is in the others and of one shape
+    metadata : CheckpointMetadata
+        The network's for this video: region, the angle's sign, reference peaks, the moving end's length.
+    estimator : BaseAnchoredEstimator
+        Knows the fixed end and the body's length.
+    fixed : Detections
+        Both points of the fixed end (1, 2), calibrated, with their direction corrected.
+    end_px : float
+        Length of the moving end, px.
+    turn_rad : float
+        Correction of the moving end's direction, rad, from x toward y.
+    across_sd_share : float
+        Factor on the moving end's predicted sd across its direction.
+    inlier_share : float
+        Share of the probe frames that agree on this actuator.
     """
 
-    header: CheckpointMetadata
-    finder: BaseAnchoredEstimator
+    metadata: CheckpointMetadata
+    estimator: BaseAnchoredEstimator
     fixed: Detections
     end_px: float
     turn_rad: float
-    across_share: float
-    seen: float
+    across_sd_share: float
+    inlier_share: float
 
-    def believed(self, found: Detections) -> Detections:
-        """What was found in frames of the video, with the fixed end where it rests and the moving one turned right.
+    def anchored(self, found: Detections) -> Detections:
+        """Calibrated detections (N, K) with the fixed end at its place and the moving end's direction corrected.
 
-        Nothing is believed of a frame that shows another actuator.
+        A frame whose chain is not this actuator gets likelihoods of zero.
         """
-        same = inlier_mask(found.xy, self.finder.fixed_xy, self.finder.body_px, self.end_px)
+        inlier = inlier_mask(found.xy, self.estimator.fixed_xy, self.estimator.body_px, self.end_px)
         xy, likelihood, covariance = found.xy.copy(), found.likelihood.copy(), found.covariance.copy()
         xy[:, FIXED], likelihood[:, FIXED] = self.fixed.xy, self.fixed.likelihood
         covariance[:, FIXED] = self.fixed.covariance
-        xy[:, MOVING] = _turned(xy[:, MOVING], self.turn_rad)
-        covariance[:, MOVING] = _narrowed(covariance[:, MOVING], xy[:, MOVING], self.across_share)
-        return Detections(xy, np.where(same[:, None], likelihood, 0.0), covariance)
+        xy[:, MOVING] = _turn_ends(xy[:, MOVING], self.turn_rad)
+        covariance[:, MOVING] = _scale_across(covariance[:, MOVING], xy[:, MOVING], self.across_sd_share)
+        return Detections(xy, np.where(inlier[:, None], likelihood, 0.0), covariance)
 
 
 def find_actuator(
     probe_frames: Frames,
-    header: CheckpointMetadata,
-    finder: CoarseToFineEstimator,
-    closer: Closer | None = None,
-    taught: Taught | None = None,
+    metadata: CheckpointMetadata,
+    estimator: CoarseToFineEstimator,
+    fit_ends: FitEnds | None = None,
+    fit_network: FitNetwork | None = None,
 ) -> LocalizedActuator:
-    """Find the actuator in frames spread over a video.
+    """Find the actuator in probe frames spread over a video.
 
     Parameters
     ----------
-    glimpses : (N, H, W, 3) uint8 RGB, of one size
-    header, finder : of a network whose keypoints are a chain from the fixed end to the moving one
-    closer : looks closer at the moving end (`models.unlabelled`); None leaves that to the finder
-    taught : teaches a network this actuator that is not sure of it everywhere (`models.unlabelled`); None does not
+    probe_frames : ndarray of uint8, shape (N, H, W, 3)
+        RGB.
+    metadata, estimator
+        Of a network whose keypoints are a chain from the fixed end to the moving end.
+    fit_ends : callable, optional
+        Registers the moving end over the probe frames and fits an end regressor (`adaptation/adapt.py`).
+    fit_network : callable, optional
+        Fits the network to the video where it is not sure of the actuator everywhere (`adaptation/adapt.py`).
+
+    Returns
+    -------
+    LocalizedActuator
 
     Raises
     ------
     VideoError
         No actuator can be seen.
     """
-    shown = _agreed_on(probe_frames, header, finder)
-    # Of a network that learnt from labels, where ends lie and how they point is what those say.
-    learnt = not header.pretrained
-    if not learnt and taught is not None:
-        examples = shown.examples(probe_frames, header, finder)
-        if examples.right.sum() >= LEAST_SURE and examples.right.mean() < MOST_SURE:
-            finder, shown = _again(
-                probe_frames, header, (finder, shown), taught(probe_frames, examples, shown.look.region)
-            )
-    same, region = shown.same, shown.look.region
-    xy, align = shown.found.xy, finder.align
-    if not learnt and closer is not None:
-        xy, align = closer(probe_frames, xy, same, region)
-    header = shown.header_from(header)
-    fixed = _resting(header.calibration.apply(shown.found), same)
-    fixed_rad, moving_rad = (
-        0.0 if learnt else _turn_rad(probe_frames, xy[:, end], same, region) for end in (FIXED, MOVING)
-    )
-    fixed.xy[:] = _turned(fixed.xy, fixed_rad)
-    across = 1.0 if learnt or align is None else ACROSS_SHARE
-    fixed.covariance[:] = _narrowed(fixed.covariance, fixed.xy, across)
-    knowing = shown.finder_from(finder, align, header)
-    return LocalizedActuator(header, knowing, fixed, shown.end_px, moving_rad, across, float(same.mean()))
-
-
-def _agreed_on(probe_frames: Frames, header: CheckpointMetadata, finder: CoarseToFineEstimator) -> Consensus:
-    """What the glimpses show together, if they show one actuator; VideoError as `sight`."""
-    shown = multi_frame_consensus(probe_frames, header, finder)
-    if shown.same.mean() < MIN_INLIER_SHARE:
-        raise VideoError(
-            f"expected an actuator that keeps its shape, got one that does in {100 * shown.same.mean():.0f} % of the"
-            " frames looked at; label some frames: `bendtrack new`"
+    consensus = _accepted_consensus(probe_frames, metadata, estimator)
+    # For a network trained on labels, the labels say where ends lie and how they point.
+    zero_shot = metadata.pretrained
+    if zero_shot and fit_network is not None:
+        labels = consensus.pseudo_labels(probe_frames, metadata, estimator)
+        if labels.positive.sum() >= MIN_SURE and labels.positive.mean() < MAX_SURE_SHARE:
+            fitted = fit_network(probe_frames, labels, consensus.view.region)
+            estimator, consensus = _better_of(probe_frames, metadata, (estimator, consensus), fitted)
+    inlier, region = consensus.inlier, consensus.view.region
+    xy, regressor = consensus.found.xy, estimator.end_regressor
+    if zero_shot and fit_ends is not None:
+        xy, regressor = fit_ends(probe_frames, xy, inlier, region)
+    metadata = consensus.metadata_for(metadata)
+    fixed = _fixed_end(metadata.calibration.apply(consensus.found), inlier)
+    fixed_rad = moving_rad = 0.0
+    if zero_shot and estimator.stages.edge_orientation:
+        fixed_rad, moving_rad = (
+            _turn_rad(probe_frames, xy[:, end], inlier, region) for end in (FIXED, MOVING)
         )
-    return shown
+    across = ACROSS_SD_SHARE if zero_shot and regressor is not None else 1.0
+    fixed_xy = _turn_ends(fixed.xy, fixed_rad)
+    fixed = Detections(fixed_xy, fixed.likelihood, _scale_across(fixed.covariance, fixed_xy, across))
+    anchored = consensus.anchored_estimator(estimator, regressor, metadata)
+    return LocalizedActuator(
+        metadata, anchored, fixed, consensus.end_px, moving_rad, across, float(inlier.mean())
+    )
 
 
-def _again(
+def _accepted_consensus(
+    probe_frames: Frames, metadata: CheckpointMetadata, estimator: CoarseToFineEstimator
+) -> Consensus:
+    """The probe frames' consensus, if most of them agree on one actuator; VideoError as `find_actuator`."""
+    consensus = multi_frame_consensus(probe_frames, metadata, estimator)
+    if consensus.inlier.mean() < MIN_INLIER_SHARE:
+        raise VideoError(
+            f"expected an actuator that keeps its shape, got one that does in {100 * consensus.inlier.mean():.0f} %"
+            " of the frames looked at; label some frames: `bendtrack new`"
+        )
+    return consensus
+
+
+def _better_of(
     probe_frames: Frames,
-    header: CheckpointMetadata,
+    metadata: CheckpointMetadata,
     before: tuple[CoarseToFineEstimator, Consensus],
-    finder: CoarseToFineEstimator | None,
+    fitted: CoarseToFineEstimator | None,
 ) -> tuple[CoarseToFineEstimator, Consensus]:
-    """A finder that has learnt the actuator and what the glimpses show to it, unless that is less than before."""
-    if finder is None:
+    """The fitted estimator and its consensus, or the earlier ones where fewer probe frames agree now."""
+    if fitted is None:
         return before
     try:
-        shown = _agreed_on(probe_frames, header, finder)
+        consensus = _accepted_consensus(probe_frames, metadata, fitted)
     except VideoError:
         return before
-    return (finder, shown) if shown.same.sum() >= before[1].same.sum() else before
+    return (fitted, consensus) if consensus.inlier.sum() >= before[1].inlier.sum() else before
 
 
-def _turn_rad(probe_frames: Frames, ends: FloatArray, same: BoolArray, region: RegionOfInterest) -> float:
-    """By which ends (N, 2, 2) px are to be turned, from x toward y, to point along their sides, as the glimpses that
-    count say together."""
-    chosen = np.flatnonzero(same).tolist()
-    length_px = CLOSER * region.refiner_scale * float(np.median(lengths_px(ends[chosen])))
-    return orientation_from_edges(
-        [crop_end(probe_frames[i], ends[i], region).picture for i in chosen], length_px
-    )
+def _turn_rad(probe_frames: Frames, ends: FloatArray, inlier: BoolArray, region: RegionOfInterest) -> float:
+    """Correction of the direction of ends (N, 2, 2) px, rad from x toward y, from their edges in all inliers."""
+    chosen = np.flatnonzero(inlier).tolist()
+    length_px = END_MAGNIFICATION * region.refiner_scale * float(np.median(lengths_px(ends[chosen])))
+    crops = [crop_end(probe_frames[i], ends[i], region).image for i in chosen]
+    return orientation_from_edges(crops, length_px)
 
 
-def _turned(ends: FloatArray, turn_rad: float) -> FloatArray:
-    """Ends (N, 2, 2) px turned about their middles."""
+def _turn_ends(ends: FloatArray, turn_rad: float) -> FloatArray:
+    """Ends (N, 2, 2) px turned about their centres."""
     return move_ends(ends, np.tile([0.0, 0.0, turn_rad], (len(ends), 1)), 1.0)
 
 
-def _narrowed(covariance: FloatArray, ends: FloatArray, share: float) -> FloatArray:
-    """Covariances (N, 2, 2, 2) px**2 of ends (N, 2, 2) px, the deviations across their directions made smaller."""
+def _scale_across(covariance: FloatArray, ends: FloatArray, share: float) -> FloatArray:
+    """Covariances (N, 2, 2, 2) px^2 of ends (N, 2, 2) px with the sd across the ends' directions times `share`."""
     along = ends[:, 1] - ends[:, 0]
     along = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
-    kept = share * np.eye(2) + (1 - share) * along[:, :, None] * along[:, None, :]
-    return np.asarray(kept[:, None] @ covariance @ kept[:, None])
+    scaled = share * np.eye(2) + (1 - share) * along[:, :, None] * along[:, None, :]
+    return np.asarray(scaled[:, None] @ covariance @ scaled[:, None])
 
 
-def _resting(found: Detections, same: BoolArray) -> Detections:
-    """The fixed end's two points (1, 2), as the glimpses (N,) that count say together; as likely as these are many.
+def _fixed_end(found: Detections, inlier: BoolArray) -> Detections:
+    """Both points of the fixed end (1, 2): the median over the inliers, with the share of inliers as likelihood.
 
-    They err alike, so what all say is hardly more exact than what one says.
+    All frames err alike, so the median is hardly more exact than one frame, and the covariance is one frame's.
     """
-    xy, covariance = (np.median(part[same, FIXED], axis=0)[None] for part in (found.xy, found.covariance))
-    return Detections(xy, np.full((1, 2), same.mean()), covariance)
+    xy, covariance = (np.median(part[inlier, FIXED], axis=0)[None] for part in (found.xy, found.covariance))
+    return Detections(xy, np.full((1, 2), inlier.mean()), covariance)

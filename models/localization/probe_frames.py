@@ -1,9 +1,8 @@
-"""What frames spread over a video show of an actuator when they are held against each other: where it is, how large,
-which of its ends is fixed, and in which of them it can be believed.
+"""Probe frames: frames spread over a video, taken together.
 
-A network that knows actuators in general finds canonical points in single pictures, wrong ones among them, and may take
-either end for the fixed one. But the fixed end does not move, so it is where all glimpses together say, and the
-actuator is the same one all the time.
+A network that knows actuators in general finds canonical points in single frames, wrong ones among them, and may take
+either end for the fixed one. But the fixed end does not move, so it is where all probe frames together say, and the
+actuator is the same one in all of them. What the frames agree on is their consensus.
 """
 
 from __future__ import annotations
@@ -17,156 +16,213 @@ from ...tracker.errors import VideoError
 from ...tracker.types import BoolArray, Detections, FloatArray, Frames
 from ..inference.calibration import reference_peaks
 from ..inference.coarse_to_fine import CoarseToFineEstimator, EndRegressor
+from ..inference.crops import CropGeometry
 from ..inference.metadata import LONGER, SHORTER, CheckpointMetadata
 from ..inference.roi import RegionOfInterest, region_of_interest
 from .base_anchor import BaseAnchoredEstimator
 from .chain_assembly import assemble_chain
 
 FIRST_SIDES = (96, 128, 192, 256)
-"""Input px of a whole frame's long side at a first look: actuators fill a fifth of a picture, or nearly all of it."""
+"""Input px of a whole frame's long side in the first search: actuators fill a fifth of a frame, or nearly all of it."""
 
 BODY_SIDES = (64, 96)
-"""Input px of the body's length where it is looked at once more: as large as in most of pretraining's pictures, or as
-in the largest where more is seen then."""
+"""Input px of the body's length in the second search: as in most of pretraining's images, or as in the largest ones
+where more is seen then."""
 
 CLEARLY_MORE = 0.02
-"""How much more must be seen for a larger input, which takes longer in every frame."""
+"""Gain in score that justifies the larger input, which takes longer in every frame."""
 
-SURE = 0.5
-"""A keypoint counts as seen from this share of its usual peak on."""
+SEEN_LIKELIHOOD = 0.5
+"""A keypoint counts as seen from this likelihood on."""
 
-LEAST_SEEN = 0.3
-"""Share of the glimpses in which most of the keypoints must be seen, and the fixed end where it is held."""
+MIN_SEEN_SHARE = 0.3
+"""Share of the probe frames in which most of the keypoints must be seen, and the fixed end at its place."""
 
 LONGEST_STEP, MANY_STEPS = 2.0, 6
-"""Neighbours on a chain that lie further apart, in medians of all of its neighbours, are not both on the body, where
-there are so many that the ends' own lengths do not make the median."""
+"""Neighbours on a chain that lie further apart, in medians of all neighbours' distances, are not both on the body. Only
+for chains with so many steps that the ends' own lengths do not make the median."""
 
-HELD_SHARE = 0.1
-"""The fixed end is found where it is held, within so much of the body's length."""
+ANCHOR_SHARE = 0.1
+"""Largest distance of the first keypoint from the fixed end, as a share of the body's length."""
 
 SHORTEST, LONGEST = 0.5, 2.0
-"""How long the moving end may be, as a share of its usual length: it does not stretch, but may turn away, and where a
-smooth body begins to bend is hard to see, which does not matter to its direction."""
+"""Range of the moving end's length, as a share of its median. It does not stretch but may turn away from the camera.
+Where a smooth body begins to bend is hard to see, which does not matter to the end's direction."""
 
-FURTHEST_REACH = 1.3
-"""The tip is no further from the fixed end than the body is long, or much longer only where it stretches."""
+MAX_REACH = 1.3
+"""Largest distance of the tip from the fixed end, in body lengths: more only where the body stretches."""
 
-LEAST_USUAL = 0.5
-"""A video's usual peaks are at least so high, as a share of pretraining's."""
+MIN_REFERENCE_SHARE = 0.5
+"""A video's reference peaks are at least so high, as a share of pretraining's."""
 
 SURE_END, WRONG_END = 0.6, 0.5
-"""What is taken for a keypoint is at least so likely where a network can learn that it is there, and less likely where
-it can learn that it is not."""
+"""Pseudo-label thresholds: a positive needs likelihood >= SURE_END, a negative < WRONG_END; the rest is ignored."""
 
 FIXED, MOVING = slice(0, 2), slice(-2, None)
-"""Which of the chain's keypoints make up its ends."""
+"""The keypoints of the chain's two ends."""
 
-STILL_SHARE = 0.5
-"""An end that moves by less than so much of what the other moves is the fixed one."""
+STATIC_SHARE = 0.5
+"""An end that moves by less than this share of the other end's motion is the fixed one."""
 
 
 @dataclass(frozen=True)
 class PseudoLabels:
-    """What a network can learn an actuator by that nobody has labelled.
+    """Positions in probe frames that stand for labels in self-training.
 
     Attributes
     ----------
-    xy : (N, K, 2) px, found in glimpses, the fixed end where it rests in all; NaN where that is not sure
-    right : (N,) bool, glimpses in which the moving end is sure
-    wrong : (N, 2) bool, which of its points are not: what was taken for them is mostly something else
+    xy : ndarray of float, shape (N, K, 2)
+        Positions, px, the fixed end at its place in all frames; NaN where not sure.
+    positive : ndarray of bool, shape (N,)
+        Frames in which the moving end is sure.
+    negative : ndarray of bool, shape (N, 2)
+        Points of the moving end that are not sure: what was taken for them is mostly something else.
     """
 
     xy: FloatArray
-    right: BoolArray
-    wrong: BoolArray
+    positive: BoolArray
+    negative: BoolArray
 
 
 @dataclass(frozen=True)
 class Consensus:
-    """What the glimpses show together.
+    """What the probe frames show together.
 
     Attributes
     ----------
-    look : what the locator found, within the region where the actuator can be
-    found : (N, K), what the refiner found there, not calibrated
-    same : (N,) bool, the glimpses in which the actuator is seen, held where it is in the others and of one shape
-    fixed_xy : (2,) px, where it is held
-    body_px, end_px : lengths of the body and of the moving end
+    view : RegionView
+        What the locator found, in the region where the actuator can be.
+    found : Detections
+        (N, K), what the refiner found there, not calibrated.
+    inlier : ndarray of bool, shape (N,)
+        Frames that show the actuator at the common fixed end and with the common shape.
+    fixed_xy : ndarray of float, shape (2,)
+        The fixed end, px.
+    body_px, end_px : float
+        Lengths of the body and of the moving end, px.
     """
 
-    look: _Look
+    view: RegionView
     found: Detections
-    same: BoolArray
+    inlier: BoolArray
     fixed_xy: FloatArray
     body_px: float
     end_px: float
 
-    def header_from(self, header: CheckpointMetadata) -> CheckpointMetadata:
-        """The network's header for this video, from what was found in the glimpses that count.
+    def metadata_for(self, metadata: CheckpointMetadata) -> CheckpointMetadata:
+        """The network's metadata for this video, estimated from the inliers.
 
-        They stand for the labelled frames of a training: how high the heatmaps' peaks usually are, how long the moving
-        end may be, and to which side the actuator bends.
+        They stand for the labelled frames of a training: reference peaks, the moving end's length, and the side to
+        which the actuator bends.
         """
-        xy, peak = self.found.xy[self.same], self.found.likelihood[self.same]
-        angle_deg, _, _ = bending_angle(xy, header.keypoints, replace(header.definition, sign=1))
-        usual = np.clip(
+        xy, peak = self.found.xy[self.inlier], self.found.likelihood[self.inlier]
+        angle_deg, _, _ = bending_angle(xy, metadata.keypoints, replace(metadata.definition, sign=1))
+        pretrained_peak = metadata.calibration.normalising_peak
+        peaks = np.clip(
             reference_peaks(peak, np.ones(peak.shape, bool)),
-            LEAST_USUAL * header.calibration.usual,
-            header.calibration.usual,
+            MIN_REFERENCE_SHARE * pretrained_peak,
+            pretrained_peak,
         )
-        end = self.end_px * self.look.region.refiner_scale
+        end = self.end_px * self.view.region.refiner_scale
         anything, about = (0.0, np.inf), (SHORTEST * end / SHORTER, LONGEST * end / LONGER)
         return replace(
-            header,
-            regions=(self.look.region,),
-            definition=replace(header.definition, sign=-1 if np.nansum(angle_deg) < 0 else 1),
-            calibration=replace(header.calibration, reference_peak=tuple(usual.tolist())),
-            lengths=(*[anything] * (peak.shape[1] - 2), about, about),
+            metadata,
+            regions=(self.view.region,),
+            definition=replace(metadata.definition, sign=-1 if np.nansum(angle_deg) < 0 else 1),
+            calibration=replace(metadata.calibration, reference_peak=tuple(peaks.tolist())),
+            distance_range=(*[anything] * (peak.shape[1] - 2), about, about),
         )
 
-    def finder_from(
-        self, finder: CoarseToFineEstimator, align: EndRegressor | None, header: CheckpointMetadata
+    def anchored_estimator(
+        self,
+        estimator: CoarseToFineEstimator,
+        end_regressor: EndRegressor | None,
+        metadata: CheckpointMetadata,
     ) -> BaseAnchoredEstimator:
-        """A finder that knows where this actuator is held, and with `align` how its moving end lies; `header` is this
-        video's."""
-        parts = finder.locate, finder.refine, finder.peaks, align
-        between = range(len(header.keypoints))[FIXED.stop : MOVING.start]
+        """An estimator anchored at this actuator's fixed end.
+
+        Parameters
+        ----------
+        estimator : CoarseToFineEstimator
+            With the networks.
+        end_regressor : EndRegressor or None
+            Of this actuator's moving end.
+        metadata : CheckpointMetadata
+            This video's (`metadata_for`).
+        """
+        between = range(len(metadata.keypoints))[FIXED.stop : MOVING.start]
         return BaseAnchoredEstimator(
-            *parts,
-            once=tuple(k for k in between if header.keypoints[k] not in header.definition.points),
+            estimator.locator,
+            estimator.refiner,
+            estimator.candidates,
+            end_regressor,
+            estimator.stages,
+            single_view=tuple(k for k in between if metadata.keypoints[k] not in metadata.definition.points),
             fixed_xy=self.fixed_xy,
             body_px=self.body_px,
-            calibration=header.calibration,
+            calibration=metadata.calibration,
         )
 
-    def examples(
-        self, probe_frames: Frames, header: CheckpointMetadata, finder: CoarseToFineEstimator
+    def pseudo_labels(
+        self, probe_frames: Frames, metadata: CheckpointMetadata, estimator: CoarseToFineEstimator
     ) -> PseudoLabels:
-        """What the network can learn this actuator by, by what it finds once it is known where that is held."""
-        header = self.header_from(header)
-        found = self.finder_from(finder, None, header).detect(
-            probe_frames, self.look.region, header.reference
-        )
-        found = header.calibrated(found, self.look.region)
-        alike = _moving_alike(found.xy, self.fixed_xy, self.body_px, self.end_px)
+        """Pseudo-labels for self-training, from what an estimator anchored at the fixed end finds."""
+        metadata = self.metadata_for(metadata)
+        geometry = CropGeometry(self.view.region, metadata.reference)
+        found = self.anchored_estimator(estimator, None, metadata).detect(probe_frames, geometry)
+        found = metadata.calibrated(found, geometry)
+        plausible = _moving_end_plausible(found.xy, self.fixed_xy, self.body_px, self.end_px)
         likelihood = found.likelihood.copy()
-        likelihood[:, MOVING] = np.where(alike[:, None], likelihood[:, MOVING], 0.0)
+        likelihood[:, MOVING] = np.where(plausible[:, None], likelihood[:, MOVING], 0.0)
         unsure: BoolArray = likelihood < WRONG_END
-        # Of what is not sure between the ends, and of a fixed end that is hidden, nothing is said.
+        # Unsure points between the ends, and a fixed end that is hidden, are neither positives nor negatives.
         xy = np.where(unsure[..., None], np.nan, found.xy)
         xy[:, MOVING] = found.xy[:, MOVING]
-        resting = np.median(self.found.xy[self.same, FIXED], axis=0)
-        xy[:, FIXED] = np.where(unsure[:, FIXED, None], np.nan, resting)
-        held = _held(found.xy, self.fixed_xy, self.body_px)
-        right = self.same & held & (likelihood[:, MOVING].min(axis=1) >= SURE_END)
-        return PseudoLabels(xy, np.asarray(right), unsure[:, MOVING])
+        fixed = np.median(self.found.xy[self.inlier, FIXED], axis=0)
+        xy[:, FIXED] = np.where(unsure[:, FIXED, None], np.nan, fixed)
+        anchored = _at_fixed_end(found.xy, self.fixed_xy, self.body_px)
+        positive = self.inlier & anchored & (likelihood[:, MOVING].min(axis=1) >= SURE_END)
+        return PseudoLabels(xy, np.asarray(positive), unsure[:, MOVING])
+
+
+@dataclass(frozen=True)
+class RegionView:
+    """What the locator found in the probe frames within one region.
+
+    Attributes
+    ----------
+    region : RegionOfInterest
+    xy : ndarray of float, shape (N, K, 2)
+        Chains from the fixed end, px.
+    clear : ndarray of bool, shape (N,)
+        Frames in which most keypoints are seen.
+    anchored : ndarray of bool, shape (N,)
+        Clear frames whose fixed end is at the common place.
+    fixed_xy : ndarray of float, shape (2,)
+        That place, px.
+    score : float
+        Mean likelihood of the keypoints, counting anchored frames only; 0 to 1.
+    """
+
+    region: RegionOfInterest
+    xy: FloatArray
+    clear: BoolArray
+    anchored: BoolArray
+    fixed_xy: FloatArray
+    score: float
 
 
 def multi_frame_consensus(
-    probe_frames: Frames, header: CheckpointMetadata, finder: CoarseToFineEstimator
+    probe_frames: Frames, metadata: CheckpointMetadata, estimator: CoarseToFineEstimator
 ) -> Consensus:
-    """Hold what a finder finds in single glimpses against each other.
+    """Find the actuator that most probe frames agree on.
+
+    Parameters
+    ----------
+    probe_frames : ndarray of uint8, shape (N, H, W, 3)
+        RGB.
+    metadata, estimator
+        Of a network whose keypoints are a chain from the fixed end to the moving end.
 
     Raises
     ------
@@ -174,47 +230,50 @@ def multi_frame_consensus(
         Too little is seen.
     """
     h, w = probe_frames[0].shape[:2]
-    likelihood = header.calibration.likelihood
+    likelihood = metadata.calibration.likelihood
 
-    def look(region: RegionOfInterest) -> _Look:
-        xy, peak = finder.located(probe_frames, region)
-        return _agreed(region, xy, likelihood(peak))
+    def search(region: RegionOfInterest) -> RegionView:
+        found = estimator.propose(probe_frames, CropGeometry(region, metadata.reference))
+        return _view_of(region, found.xy, likelihood(found.likelihood))
 
-    def look_again(region: RegionOfInterest, fixed_xy: FloatArray, body_px: float) -> _Look:
-        xy, peak = finder.offered(probe_frames, region)
-        return _agreed(region, *assemble_chain(xy, likelihood(peak), fixed_xy, body_px))
+    def search_chains(region: RegionOfInterest, fixed_xy: FloatArray, body_px: float) -> RegionView:
+        xy, peak = estimator.candidate_peaks(probe_frames, region)
+        return _view_of(region, *assemble_chain(xy, likelihood(peak), fixed_xy, body_px))
 
     whole = [RegionOfInterest((w, h), 0, 0, w, h, min(1.0, side / max(w, h)), 1.0) for side in FIRST_SIDES]
-    best = max((look(region) for region in whole), key=lambda found: found.worth)
-    # Once more where it is, at the scale that fits it, until that settles.
+    best = max((search(region) for region in whole), key=lambda view: view.score)
+    # Twice more around the actuator, at the scale that fits it.
     for _ in range(2):
-        xy = _seen(best)
+        xy = _anchored_chains(best)
         small, large = (
-            look_again(_fitting_region(xy, (w, h), side), best.fixed_xy, _body_px(xy)) for side in BODY_SIDES
+            search_chains(_fitting_region(xy, (w, h), side), best.fixed_xy, _body_px(xy))
+            for side in BODY_SIDES
         )
-        best = large if large.worth > small.worth + CLEARLY_MORE else small
-    body_px = _body_px(_seen(best))
-    found = finder.refined(probe_frames, best.xy, best.region, header.reference)
-    fixed_xy = np.median(found.xy[best.sound, 0], axis=0)
-    end_px = float(np.median(lengths_px(found.xy[best.sound][:, MOVING])))
-    same = best.sound & inlier_mask(found.xy, fixed_xy, body_px, end_px)
-    return Consensus(best, found, same, fixed_xy, body_px, end_px)
+        best = large if large.score > small.score + CLEARLY_MORE else small
+    body_px = _body_px(_anchored_chains(best))
+    found = estimator.refine(probe_frames, best.xy, CropGeometry(best.region, metadata.reference))
+    fixed_xy = np.median(found.xy[best.anchored, 0], axis=0)
+    end_px = float(np.median(lengths_px(found.xy[best.anchored][:, MOVING])))
+    inlier = best.anchored & inlier_mask(found.xy, fixed_xy, body_px, end_px)
+    return Consensus(best, found, inlier, fixed_xy, body_px, end_px)
 
 
-def oriented(xy: FloatArray, likelihood: FloatArray, fixed_xy: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Positions (N, K, 2) and likelihoods (N, K), the chain turned round where its last end lies at the fixed place."""
-    away = np.linalg.norm(xy[:, [0, -1]] - fixed_xy, axis=2)
-    wrong = away[:, 0] > away[:, 1]
+def from_fixed_end(
+    xy: FloatArray, likelihood: FloatArray, fixed_xy: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Chains (N, K, 2) px and likelihoods (N, K), reversed where the last keypoint is the one at the fixed end."""
+    distance = np.linalg.norm(xy[:, [0, -1]] - fixed_xy, axis=2)
+    reverse = distance[:, 0] > distance[:, 1]
     return (
-        np.where(wrong[:, None, None], xy[:, ::-1], xy),
-        np.where(wrong[:, None], likelihood[:, ::-1], likelihood),
+        np.where(reverse[:, None, None], xy[:, ::-1], xy),
+        np.where(reverse[:, None], likelihood[:, ::-1], likelihood),
     )
 
 
 def _body_px(xy: FloatArray) -> float:
-    """Length of the body along chains (N, K, 2) px, the median; 0 without any.
+    """Median length of the body along chains (N, K, 2) px; 0 without any.
 
-    A keypoint that is something far away in one of them adds little to its length.
+    A keypoint that lies far away in one of them adds little to its length.
     """
     if not len(xy):
         return 0.0
@@ -230,74 +289,58 @@ def lengths_px(ends: FloatArray) -> FloatArray:
 
 
 def inlier_mask(xy: FloatArray, fixed_xy: FloatArray, body_px: float, end_px: float) -> BoolArray:
-    """Frames (N,) in which chains (N, K, 2) px are held at the fixed end, reach no further than the body can, and have
-    a moving end of the right length."""
-    return np.asarray(_held(xy, fixed_xy, body_px) & _moving_alike(xy, fixed_xy, body_px, end_px))
+    """Frames (N,) whose chains (N, K, 2) px are this actuator.
 
-
-def _moving_alike(xy: FloatArray, fixed_xy: FloatArray, body_px: float, end_px: float) -> BoolArray:
-    """Frames (N,) in which the moving end can be where chains (N, K, 2) px have it, and is of the right length."""
-    length = lengths_px(xy[:, MOVING])
-    alike = (length >= SHORTEST * end_px) & (length <= LONGEST * end_px)
-    within_reach = np.linalg.norm(xy[:, -1] - fixed_xy, axis=1) <= FURTHEST_REACH * body_px
-    return np.asarray(alike & within_reach)
-
-
-def _held(xy: FloatArray, fixed_xy: FloatArray, body_px: float) -> BoolArray:
-    """Frames (N,) in which chains (N, K, 2) px begin where the actuator is held."""
-    return np.asarray(np.linalg.norm(xy[:, 0] - fixed_xy, axis=1) <= HELD_SHARE * body_px)
-
-
-@dataclass(frozen=True)
-class _Look:
-    """What is found in the glimpses within one region.
-
-    Attributes
-    ----------
-    xy : (N, K, 2) px, from the fixed end
-    clear : (N,) bool, most keypoints are seen
-    sound : (N,) bool, clear, and the fixed end is where it always is
-    worth : how much speaks for it: sound glimpses, and how well their keypoints are seen
+    They begin at the fixed end, reach no further than the body can, and have a moving end of the right length.
     """
-
-    region: RegionOfInterest
-    xy: FloatArray
-    clear: BoolArray
-    sound: BoolArray
-    fixed_xy: FloatArray
-    worth: float
+    return np.asarray(
+        _at_fixed_end(xy, fixed_xy, body_px) & _moving_end_plausible(xy, fixed_xy, body_px, end_px)
+    )
 
 
-def _agreed(region: RegionOfInterest, xy: FloatArray, likelihood: FloatArray) -> _Look:
-    """Single glimpses held against each other: where the fixed end is, and in which of them it is found there."""
-    clear = np.median(likelihood, axis=1) >= SURE
-    fixed_xy = _fixed_end(xy[clear]) if clear.any() else np.full(2, np.nan)
-    xy, likelihood = oriented(xy, likelihood, fixed_xy)
-    sound = clear & _held(xy, fixed_xy, _body_px(xy[clear]))
-    worth = float(np.where(sound, likelihood.mean(axis=1), 0.0).mean())
-    return _Look(region, xy, clear, sound, fixed_xy, worth)
+def _moving_end_plausible(xy: FloatArray, fixed_xy: FloatArray, body_px: float, end_px: float) -> BoolArray:
+    """Frames (N,) in which the moving end of chains (N, K, 2) px is within reach and of the right length."""
+    length = lengths_px(xy[:, MOVING])
+    right_length = (length >= SHORTEST * end_px) & (length <= LONGEST * end_px)
+    within_reach = np.linalg.norm(xy[:, -1] - fixed_xy, axis=1) <= MAX_REACH * body_px
+    return np.asarray(right_length & within_reach)
 
 
-def _seen(found: _Look) -> FloatArray:
-    """Keypoints (M, K, 2) px in the sound glimpses.
+def _at_fixed_end(xy: FloatArray, fixed_xy: FloatArray, body_px: float) -> BoolArray:
+    """Frames (N,) whose chains (N, K, 2) px begin at the fixed end."""
+    return np.asarray(np.linalg.norm(xy[:, 0] - fixed_xy, axis=1) <= ANCHOR_SHARE * body_px)
+
+
+def _view_of(region: RegionOfInterest, xy: FloatArray, likelihood: FloatArray) -> RegionView:
+    """Take single frames together: where the fixed end is, and in which frames it is found there."""
+    clear = np.median(likelihood, axis=1) >= SEEN_LIKELIHOOD
+    fixed_xy = _static_end(xy[clear]) if clear.any() else np.full(2, np.nan)
+    xy, likelihood = from_fixed_end(xy, likelihood, fixed_xy)
+    anchored = clear & _at_fixed_end(xy, fixed_xy, _body_px(xy[clear]))
+    score = float(np.where(anchored, likelihood.mean(axis=1), 0.0).mean())
+    return RegionView(region, xy, clear, anchored, fixed_xy, score)
+
+
+def _anchored_chains(view: RegionView) -> FloatArray:
+    """Chains (M, K, 2) px of the anchored frames.
 
     Raises
     ------
     VideoError
         There are too few.
     """
-    clear, sound = (100 * float(share.mean()) for share in (found.clear, found.sound))
-    if clear < 100 * LEAST_SEEN:
+    clear, anchored = (100 * float(share.mean()) for share in (view.clear, view.anchored))
+    if clear < 100 * MIN_SEEN_SHARE:
         raise VideoError(
             f"expected an actuator in sight, got one in {clear:.0f} % of the frames looked at; label some frames:"
             " `bendtrack new`"
         )
-    if sound < 100 * LEAST_SEEN:
+    if anchored < 100 * MIN_SEEN_SHARE:
         raise VideoError(
-            f"expected an actuator that is held at one end, got one there in {sound:.0f} % of the frames looked at;"
-            " label some frames: `bendtrack new`"
+            f"expected an actuator that is held at one end, got one there in {anchored:.0f} % of the frames looked"
+            " at; label some frames: `bendtrack new`"
         )
-    return found.xy[found.sound]
+    return view.xy[view.anchored]
 
 
 def _fitting_region(xy: FloatArray, frame_wh: tuple[int, int], body_side: int) -> RegionOfInterest:
@@ -308,17 +351,17 @@ def _fitting_region(xy: FloatArray, frame_wh: tuple[int, int], body_side: int) -
     return replace(region, locator_scale=min(1.0, *fits))
 
 
-def _fixed_end(xy: FloatArray) -> FloatArray:
-    """Where the end is that does not move; the network's first one where neither is clearly at rest.
+def _static_end(xy: FloatArray) -> FloatArray:
+    """Position (2,) of the end that does not move; the network's first one where neither is clearly static.
 
-    The network may take one end for the other in any of the frames: a place is at rest when in most of them either end
+    The network may take one end for the other in any of the frames: a place is static when in most of them either end
     lies there.
     """
     ends = xy[:, [0, -1]]
     # From each end in each frame to the nearer end in every frame: (N, 2, N).
-    away = np.linalg.norm(ends[:, :, None, None] - ends, axis=-1).min(axis=3)
-    moved = np.median(away, axis=2)
-    best = moved.argmin(axis=0)
-    end = 1 if moved[best[1], 1] < STILL_SHARE * moved[best[0], 0] else 0
+    distance = np.linalg.norm(ends[:, :, None, None] - ends, axis=-1).min(axis=3)
+    motion = np.median(distance, axis=2)
+    best = motion.argmin(axis=0)
+    end = 1 if motion[best[1], 1] < STATIC_SHARE * motion[best[0], 0] else 0
     fixed_xy: FloatArray = ends[best[end], end]
     return fixed_xy

@@ -5,7 +5,7 @@ whatever the bend, and thirty labels of it add up. How they are put to work is i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from contextlib import nullcontext
 
 import numpy as np
 import torch
@@ -13,10 +13,11 @@ from torch import nn
 
 from ...tracker.types import Detections, FloatArray, Frames, ImageArray
 from ..inference.coarse_to_fine import LOCATOR_MULTIPLE, CoarseToFineEstimator
-from ..inference.roi import RegionOfInterest
+from ..inference.crops import CropGeometry
 from .end_regressor import EndRegressionNetwork, TorchEndRegressor
 from .heatmap_network import CONVOLUTIONS, HeatmapNetwork
 from .heatmaps import decode
+from .torch_threads import limited_threads
 
 LOCATOR_STAGES = 4
 """Who looks for any actuator in a whole picture needs the fourth residual stage; on thirty frames of one actuator three
@@ -68,32 +69,52 @@ class Cascade(nn.Module):
         whole.locator, whole.refiner, whole.aligner = locator, refiner, None
         return whole
 
-    def finder(self, peaks: int = 1) -> CoarseToFineEstimator:
-        """The networks at work in float32, where their weights lie. `peaks`: as `CoarseToFineEstimator`'s."""
-        self.eval()
-        locate, refine = TorchPredictor(self.locator, peaks), TorchPredictor(self.refiner)
-        return CoarseToFineEstimator(
-            locate, refine, peaks, TorchEndRegressor(self.aligner) if self.aligner else None
-        )
+    def estimator(self, candidates: int = 1, threads: int | None = None) -> CoarseToFineEstimator:
+        """The networks at work in float32, where their weights lie.
 
-    def detect(self, frames: Frames, region: RegionOfInterest, reference: Sequence[int]) -> Detections:
+        Parameters
+        ----------
+        candidates : int, optional
+            As `CoarseToFineEstimator`'s.
+        threads : int, optional
+            Cores for torch in each call; by default as many as torch is set to.
+        """
+        self.eval()
+        locator = TorchPredictor(self.locator, candidates, threads)
+        refiner = TorchPredictor(self.refiner, threads=threads)
+        regressor = TorchEndRegressor(self.aligner) if self.aligner else None
+        return CoarseToFineEstimator(locator, refiner, candidates, regressor)
+
+    def detect(self, frames: Frames, geometry: CropGeometry) -> Detections:
         """`CoarseToFineEstimator.detect` with these networks."""
-        return self.finder().detect(frames, region, reference)
+        return self.estimator().detect(frames, geometry)
 
 
 class TorchPredictor:
-    """A network as a `finder.Predictor`, that reads so many positions for each keypoint."""
+    """A network as a `Predictor`.
 
-    def __init__(self, network: HeatmapNetwork, peaks: int = 1) -> None:
+    Parameters
+    ----------
+    network : HeatmapNetwork
+    candidates : int, optional
+        Candidate peaks that are read for each keypoint.
+    threads : int, optional
+        Cores for torch in each call; by default as many as torch is set to.
+    """
+
+    def __init__(self, network: HeatmapNetwork, candidates: int = 1, threads: int | None = None) -> None:
         self.network = network
-        self.peaks = peaks
+        self.candidates = candidates
+        self.threads = threads
 
     @torch.inference_mode()
-    def __call__(self, pictures: ImageArray) -> Detections:
-        """Every keypoint in pictures (N, 3, H, W) uint8."""
+    def __call__(self, images: ImageArray) -> Detections:
+        """Predict every keypoint in images (N, 3, H, W) uint8."""
+        threads = limited_threads(self.threads) if self.threads else nullcontext()
         # TensorFloat-32 would round a GPU's positions by up to a tenth of a px; float32 is what is promised.
-        with torch.backends.cudnn.flags(enabled=True, allow_tf32=False):
-            found = decode(self.network(torch.from_numpy(pictures).to(self.network.mean.device)), self.peaks)
+        with threads, torch.backends.cudnn.flags(enabled=True, allow_tf32=False):
+            maps = self.network(torch.from_numpy(images).to(self.network.mean.device))
+            found = decode(maps, self.candidates)
         return Detections(_float64(found.xy), _float64(found.likelihood), _float64(found.covariance))
 
 

@@ -17,8 +17,8 @@ from ...tracker.types import Detections, Frames
 from ..inference.metadata import (
     WEIGHTS_FILE,
     CheckpointMetadata,
+    damage_reported,
     read_metadata,
-    reading_checkpoint,
     weights_file,
 )
 from .cascade import Cascade
@@ -41,8 +41,8 @@ class Checkpoint(CheckpointMetadata):
     def detect(self, frames: Frames) -> Detections:
         """Keypoints of RGB frames of one size (N, H, W, 3) uint8, each found by itself, calibrated."""
         h, w = frames[0].shape[:2]
-        region = self.region_for((w, h))
-        return self.calibrated(self.network.detect(frames, region, self.reference), region)
+        geometry = self.geometry_for((w, h))
+        return self.calibrated(self.network.detect(frames, geometry), geometry)
 
     def save(self, folder: Path, *, half: bool = False) -> Path:
         """Write `weights.safetensors` and `checkpoint.json` into a folder; returns the former.
@@ -69,7 +69,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
     """
     path = weights_file(path)
     header = read_metadata(path, tuple(BACKBONES))
-    with reading_checkpoint(path):
+    with damage_reported(path):
         weights = load_file(path)
         # Earlier networks had fewer stages.
         stages = [

@@ -56,15 +56,15 @@ class EndRegressionNetwork(nn.Module):
 
 
 class TorchEndRegressor:
-    """An `EndRegressionNetwork` as a `finding.finder.EndRegressor`."""
+    """An `EndRegressionNetwork` as a `EndRegressor`."""
 
     def __init__(self, aligner: EndRegressionNetwork) -> None:
         self.aligner = aligner
         self.ends = aligner.pairs
 
     @torch.inference_mode()
-    def __call__(self, pictures: ImageArray) -> FloatArray:
-        """Steps (N, E, 3) in pictures (N, 3, END_SIDE, END_SIDE) uint8."""
+    def __call__(self, images: ImageArray) -> FloatArray:
+        """Steps (N, E, 3) from images (N, 3, END_SIDE, END_SIDE) uint8."""
         with torch.backends.cudnn.flags(enabled=True, allow_tf32=False):
-            steps = self.aligner(torch.from_numpy(pictures).to(self.aligner.rest.device))
+            steps = self.aligner(torch.from_numpy(images).to(self.aligner.rest.device))
         return steps.cpu().numpy().astype(np.float64)

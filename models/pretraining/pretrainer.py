@@ -41,6 +41,7 @@ from ..data.synthetic import (
 )
 from ..inference.calibration import Calibration, reference_peaks, typical_scale
 from ..inference.coarse_to_fine import concatenated
+from ..inference.crops import CropGeometry
 from ..inference.roi import RegionOfInterest
 from ..networks.cascade import Cascade
 from ..networks.checkpoint import Checkpoint, best_device
@@ -295,6 +296,7 @@ class _Pretrainer:
             definition=AngleDefinition("two-vector", ENDS),
             regions=(region,),
             reference=REFERENCE,
+            kind="pretrained",
             calibration=Calibration(self._spread_scale(), 0.0, 1, peaks),
             training={
                 "settings": asdict(self.settings),
@@ -309,10 +311,10 @@ class _Pretrainer:
 
     def _spread_scale(self) -> float:
         """How uncertain the ends are, seen from near where they are: what lies elsewhere altogether is not a spread."""
-        finder = self.pair.average.finder()
+        estimator = self.pair.average.estimator()
         ends = [KEYPOINTS.index(name) for name in ENDS]
         near = concatenated(
-            [finder.refined(s.picture[None], f.xy[None], f.region, REFERENCE) for s, f in self.judged]
+            [estimator.refine(s.picture[None], f.xy[None], _geometry(f)) for s, f in self.judged]
         )
         truth = np.stack([np.where(s.visible[:, None], f.xy, np.nan) for s, f in self.judged])
         found = Detections(near.xy[:, ends], near.likelihood[:, ends], near.covariance[:, ends])
@@ -377,26 +379,31 @@ def _drawn(
         pool.shutdown(cancel_futures=True)
 
 
+def _geometry(frame: PreparedFrame) -> CropGeometry:
+    """How a rendered frame is cropped."""
+    return CropGeometry(frame.region, REFERENCE)
+
+
 def _judge(network: Cascade, judged: list[tuple[Sample, PreparedFrame]]) -> tuple[FloatArray, FloatArray]:
     """Distances of visible keypoints from the truth: located, over the body's length; refined, px of the picture."""
-    finder = network.finder()
+    estimator = network.estimator()
     located, refined = [], []
     for sample, frame in judged:
         picture, truth = sample.picture[None], frame.xy[None]
         seen = sample.visible
-        xy, _ = finder.located(picture, frame.region)
+        xy = estimator.propose(picture, _geometry(frame)).xy
         length = np.linalg.norm(np.diff(frame.xy, axis=0), axis=1).sum()
         located.append(np.linalg.norm(xy - truth, axis=2)[0, seen] / length)
         # The refiner by itself: from where the keypoints are.
-        found = finder.refined(picture, truth, frame.region, REFERENCE)
+        found = estimator.refine(picture, truth, _geometry(frame))
         refined.append(np.linalg.norm(found.xy - truth, axis=2)[0, seen])
     return np.concatenate(located), np.concatenate(refined)
 
 
 def _found(network: Cascade, judged: list[tuple[Sample, PreparedFrame]]) -> tuple[Detections, BoolArray]:
     """What both networks together find in pictures, and which keypoints (N, K) can be seen."""
-    finder = network.finder()
+    estimator = network.estimator()
     found = concatenated(
-        [finder.detect(sample.picture[None], frame.region, REFERENCE) for sample, frame in judged]
+        [estimator.detect(sample.picture[None], _geometry(frame)) for sample, frame in judged]
     )
     return found, np.stack([sample.visible for sample, _ in judged])

@@ -61,15 +61,15 @@ def match_keypoints(
     ]
     rows = rows[:: -(-len(rows) // MOST_FRAMES)]
     try:
-        shown = multi_frame_consensus(
-            np.stack([pictures[i] for i in rows]), source, source.network.finder(source.peaks)
+        consensus = multi_frame_consensus(
+            np.stack([pictures[i] for i in rows]), source, source.network.estimator(source.candidates)
         )
     except VideoError:
         return {}
-    if shown.same.mean() < MIN_INLIER_SHARE:
+    if consensus.inlier.mean() < MIN_INLIER_SHARE:
         return {}
-    away = labels[rows][shown.same][:, :, None] - shown.found.xy[shown.same][:, None]
-    apart = np.linalg.norm(away, axis=-1) / shown.body_px
+    away = labels[rows][consensus.inlier][:, :, None] - consensus.found.xy[consensus.inlier][:, None]
+    apart = np.linalg.norm(away, axis=-1) / consensus.body_px
     labelled = np.isfinite(apart[..., 0]).sum(axis=0) >= LEAST_TIMES
     usual = np.full(apart.shape[1:], np.inf)
     usual[labelled] = np.nanmedian(apart[:, labelled], axis=0)

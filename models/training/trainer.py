@@ -31,6 +31,7 @@ from ..denoising.targets import TargetDenoiser
 from ..inference.bias import correct_bias
 from ..inference.calibration import calibrate
 from ..inference.coarse_to_fine import concatenated
+from ..inference.crops import CropGeometry
 from ..inference.roi import reference_distances, reference_keypoints, regions_of_interest
 from ..networks.cascade import Cascade
 from ..networks.checkpoint import Checkpoint, best_device
@@ -252,7 +253,7 @@ class _Trainer:
         begun = time.monotonic() - self.elapsed_s
         if self.settings.consensus and self.mapping and self.step == 0:
             known = np.isin(self.keypoints, list(self.mapping))
-            self.targets[self.trained] = self.evidence.known_before(self.pair.average.finder(), known)
+            self.targets[self.trained] = self.evidence.known_before(self.pair.average.estimator(), known)
         limit_s = None if self.settings.max_minutes is None else self.settings.max_minutes * 60
         with ThreadPoolExecutor(max_workers=1) as pool, self.pair:
             batches = pool.submit(self._batches, self.step)
@@ -287,7 +288,10 @@ class _Trainer:
 
     def _detect(self, network: Cascade, indices: Sequence[int]) -> Detections:
         return concatenated(
-            [network.detect(self.pictures[i][None], self.prepared[i].region, self.reference) for i in indices]
+            [
+                network.detect(self.pictures[i][None], CropGeometry(self.prepared[i].region, self.reference))
+                for i in indices
+            ]
         )
 
     def _evaluate(self, loss: float) -> None:
@@ -367,7 +371,7 @@ class _Trainer:
             reference=self.reference,
             calibration=calibration,
             systematic_bias=tuple(tuple((float(x), float(y)) for x, y in of) for of in offset),
-            lengths=tuple((float(low), float(high)) for low, high in lengths),
+            distance_range=tuple((float(low), float(high)) for low, high in lengths),
             training=training,
         )
 

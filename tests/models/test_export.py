@@ -70,7 +70,7 @@ def test_compiled_float32_finds_what_torch_finds(untrained: Path) -> None:
 def test_networks_compiled_without_files_find_what_torch_finds(untrained: Path) -> None:
     checkpoint = load_checkpoint(untrained)
     asked = np.stack(frames(4, seed=1)), checkpoint.regions[0], checkpoint.reference
-    wanted = checkpoint.network.finder(peaks=2).detect(*asked)
+    wanted = checkpoint.network.estimator(peaks=2).detect(*asked)
     found = compiled_networks(checkpoint.network, 2, workers=2, threads=2).detect(*asked)
     assert np.linalg.norm(found.xy - wanted.xy, axis=2).max() < MAX_DRIFT_PX
     np.testing.assert_allclose(found.likelihood, wanted.likelihood, atol=1e-3)
@@ -160,7 +160,7 @@ def test_a_short_video_is_cut_for_two_cores_however_many_there_are(untrained: Pa
 def test_all_cores_for_one_frame_find_the_same(untrained: Path) -> None:
     pictures = frames(3, seed=4)
     soonest, most = (
-        NetworkDetector.load(untrained, engine="openvino", device="cpu", threads=2, soonest=soonest)
+        NetworkDetector.load(untrained, engine="openvino", device="cpu", threads=2, low_latency=soonest)
         for soonest in (True, False)
     )
     assert (soonest.workers, most.workers) == (1, 2)

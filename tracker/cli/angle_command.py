@@ -50,5 +50,7 @@ def angle(
 
     paths = listed_videos(videos)
     check_writable(out)
-    detector = load_network(network or working_copy(BACKBONE), engine, device, threads, learns=not quick)
+    detector = load_network(
+        network or working_copy(BACKBONE), engine, device, threads, self_training=not quick
+    )
     list_problems(track_videos(detector, None, paths, out, overlay=overlay, force=force), paths)

@@ -60,7 +60,9 @@ def demo(
 
     talk.say("\n3. The angle in every frame of the video")
     detector = load_network(network)
-    problems = track_videos(detector, detector.header.definition, [video], project.results_dir, overlay=True)
+    problems = track_videos(
+        detector, detector.metadata.definition, [video], project.results_dir, overlay=True
+    )
     if problems:
         raise BendtrackError(f"{video}: {problems[video]}")
 

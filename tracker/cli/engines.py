@@ -29,8 +29,8 @@ def load_network(
     device: str = "auto",
     threads: int | None = None,
     *,
-    soonest: bool = False,
-    learns: bool = False,
+    low_latency: bool = False,
+    self_training: bool = True,
 ) -> NetworkDetector:
     """A network ready to track with; compiled first where that was not done yet and can be.
 
@@ -39,6 +39,7 @@ def load_network(
     from ...models.detector import CHOICES, DEVICES, NetworkDetector
     from ...models.inference.metadata import read_metadata, weights_file
     from ...models.inference.runtime import ENGINES, engine_record
+    from ...models.inference.stages import StageSettings
     from ..video import file_sha256
 
     for option, value, choices in (("--engine", engine, CHOICES), ("--device", device, DEVICES)):
@@ -49,14 +50,15 @@ def load_network(
     on_cpu = device == "cpu" or engine in ENGINES or not NetworkDetector.gpu_is_likely()
     if on_cpu and engine != "torch" and engine_record(file, file_sha256(file)) is None:
         _compile(folder)
+    stages = StageSettings(self_training=self_training)
     return NetworkDetector.load(
-        folder, engine=engine, device=device, threads=threads, soonest=soonest, learns=learns
+        folder, engine=engine, device=device, threads=threads, low_latency=low_latency, stages=stages
     )
 
 
 def measured_angle(project: Project, network: NetworkDetector) -> AngleDefinition:
     """The angle that a network was trained for, which is what is measured; said where the project means another."""
-    definition = network.header.definition
+    definition = network.metadata.definition
     angle = project.settings.angle_definition(definition.sign)
     signs = {"auto": definition.sign, "+": 1, "-": -1}
     if angle != definition or signs[project.settings.angle.sign] != definition.sign:
@@ -78,6 +80,8 @@ def _compile(folder: Path) -> None:
     except (BendtrackError, OSError) as error:
         talk.warn(f"'{folder.name}' could not be compiled and will be slower: {error}")
         return
-    for name, tried in record["engines"].items():
-        said = f"{name}: {tried['drift_px']:.3f} px and {tried['drift_deg']:.3f}° from float32"
-        talk.say(said if tried["passed"] else f"{said}: refused")
+    for name, check in record.engines.items():
+        said = f"{name}: {check.drift_px:.3f} px and {check.drift_deg:.3f}° from float32"
+        talk.say(said if check.passed else f"{said}: refused")
+    for name, why in record.skipped.items():
+        talk.say(f"{name}: not built: {why}")

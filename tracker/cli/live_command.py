@@ -88,7 +88,7 @@ def live(
         _check_free(opened, out)
     mode = _camera_mode(size, rate, camera_format)
     target = None if udp is None else UdpTarget(udp)
-    network = load_network(model_folders.chosen(opened, model), engine, device, threads, soonest=True)
+    network = load_network(model_folders.chosen(opened, model), engine, device, threads, low_latency=True)
     definition = measured_angle(opened, network)
     options: dict[str, Any] = {}
     if opened.settings.tracking.min_likelihood is not None:
@@ -96,7 +96,7 @@ def live(
     filmed = open_source(source, mode)  # last, for a camera that runs and is not read falls behind
     if rate is not None and filmed.rate is not None and abs(filmed.rate - rate) > 0.01 * rate:
         talk.warn(f"{filmed.name} delivers {filmed.rate:g} frames/s, not {rate:g}")
-    talk.say(f"Network: {network.name} ({network.header.backbone}, {network.engine} on {network.device})")
+    talk.say(f"Network: {network.name} ({network.metadata.backbone}, {network.engine} on {network.device})")
     talk.say(f"Source: {filmed.name}, {filmed.size_wh[0]} x {filmed.size_wh[1]} px; Ctrl-C ends it")
 
     kept = None if out is None else _Kept(opened.results_dir, out, filmed, network, definition, options)

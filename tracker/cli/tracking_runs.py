@@ -118,7 +118,9 @@ def track_videos(
     -------
     The videos that failed or are damaged, and why. A damaged one is tracked as far as it goes.
     """
-    talk.say(f"Network: {detector.name} ({detector.header.backbone}, {detector.engine} on {detector.device})")
+    talk.say(
+        f"Network: {detector.name} ({detector.metadata.backbone}, {detector.engine} on {detector.device})"
+    )
     problems: dict[Path, str] = {}
     options = {} if min_likelihood is None else {"min_likelihood": min_likelihood}
     with ThreadPoolExecutor(max_workers=1) as drawing:
@@ -184,7 +186,7 @@ def _track_one(job: _Job, video: Path, overlay: bool, force: bool) -> str | None
             job.wait_for_figure()  # a network is converted meanwhile, which keeps the whole process quiet
             with progress_bars.counting(f"{video.name}: finding the actuator", "steps") as progress:
                 detector = detector.for_video(spread_frames(video, GLIMPSES), progress)
-            definition = detector.header.definition
+            definition = detector.metadata.definition
         # Nobody said where the actuator is: what a frame says is held against those beside it.
         steady = job.definition is None
         begun = time.monotonic()

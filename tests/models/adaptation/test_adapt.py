@@ -88,7 +88,7 @@ def test_what_comes_with_bendtrack_measures_an_actuator_without_labels(film) -> 
     assert [KEYPOINTS[k] for k in known._finder.once] == list(KEYPOINTS[2:-2])
     assert known._finder.align.ends == ((7, 8),)
     found = known.detect(pictures[::4])
-    angle, _, _ = bending_angle(found.xy, known.keypoints, known.header.definition)
+    angle, _, _ = bending_angle(found.xy, known.keypoints, known.metadata.definition)
     error = np.abs(angle) - np.abs(angle_deg[::4])
     assert np.sqrt(np.mean(error**2)) < 1.0
 

@@ -63,7 +63,7 @@ def test_it_learns_what_it_is_shown_and_the_network_it_began_with_stays_as_it_wa
     assert steps == [(i + 1, 40) for i in range(40)]
 
     def off_px(network: Cascade) -> float:
-        found = network.finder().refined(pictures[~shown], truth[~shown], region, shipped.reference)
+        found = network.estimator().refine(pictures[~shown], truth[~shown], region, shipped.reference)
         return float(np.median(np.linalg.norm(found.xy[:, -1] - wanted[~shown, -1], axis=1)))
 
     assert off_px(taught) < 0.5 * off_px(shipped.network)
@@ -100,7 +100,7 @@ def test_what_was_taken_for_the_moving_end_and_is_not_is_not_taken_for_it_again(
     def peak(said: BoolArray) -> float:
         examples = PseudoLabels(xy, ~wrong, said)
         taught = self_train(shipped.network, pictures, examples, region, shipped.reference)
-        found = taught.finder().refined(pictures[wrong], xy[wrong], region, shipped.reference)
+        found = taught.estimator().refine(pictures[wrong], xy[wrong], region, shipped.reference)
         return float(np.median(found.likelihood[:, -1]))
 
     assert peak(np.tile(wrong[:, None], 2)) < 0.5 * peak(NOTHING_WRONG)

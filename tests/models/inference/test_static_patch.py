@@ -30,7 +30,7 @@ def moved(fine: np.ndarray, x_px: float, y_px: float) -> np.ndarray:
     [(0.02, 0.02, True), (0.0, 0.15, False), (-0.15, 0.0, False), (0.1, 0.1, False), (3.0, 0.0, False)],
 )
 def test_a_tenth_of_a_px_is_a_movement(edge: np.ndarray, x_px: float, y_px: float, still: bool) -> None:
-    assert StaticPatchTest(moved(edge, 0, 0)).is_still(moved(edge, x_px, y_px)) is still
+    assert StaticPatchTest(moved(edge, 0, 0)).is_static(moved(edge, x_px, y_px)) is still
 
 
 def test_noise_and_light_are_none(edge: np.ndarray) -> None:
@@ -40,15 +40,15 @@ def test_noise_and_light_are_none(edge: np.ndarray) -> None:
         return np.clip(moved(edge, 0, 0) + rng.normal(level, 1.5, (SIDE, SIDE, 3)), 0, 255).astype(np.uint8)
 
     find_actuator = StaticPatchTest(filmed(0))
-    assert all(find_actuator.is_still(filmed(level)) for level in (0, 0, 4, -4))
+    assert all(find_actuator.is_static(filmed(level)) for level in (0, 0, 4, -4))
 
 
 def test_something_small_in_front_is_seen(edge: np.ndarray) -> None:
     covered = moved(edge, 0, 0)
     covered[28:34, 30:36] = 230
-    assert not StaticPatchTest(moved(edge, 0, 0)).is_still(covered)
+    assert not StaticPatchTest(moved(edge, 0, 0)).is_static(covered)
 
 
 def test_a_picture_without_edges_can_be_still() -> None:
     flat = np.full((SIDE, SIDE, 3), 90, np.uint8)
-    assert StaticPatchTest(flat).is_still(flat)
+    assert StaticPatchTest(flat).is_static(flat)

@@ -70,8 +70,8 @@ def arms(sign: float = 1.0) -> np.ndarray:
 
 def test_the_end_that_rests_is_the_fixed_one() -> None:
     seen = find_actuator(probe_frames(30), HEADER, Oracle(arms(), np.full((30, 4), 0.6)))
-    assert seen.header.definition.sign == 1
-    np.testing.assert_allclose(seen.finder.fixed_xy, (300, 200), atol=3)
+    assert seen.metadata.definition.sign == 1
+    np.testing.assert_allclose(seen.estimator.fixed_xy, (300, 200), atol=3)
     assert seen.seen == 1.0
 
 
@@ -82,11 +82,11 @@ def test_frames_found_the_wrong_way_round_do_not_matter(turned: float) -> None:
     wrong = np.random.default_rng(1).random(30) < turned
     xy = np.where(wrong[:, None, None], truth[:, ::-1], truth)
     seen = find_actuator(probe_frames(30), HEADER, Oracle(xy, np.full((30, 4), 0.6)))
-    np.testing.assert_allclose(seen.finder.fixed_xy, (300, 200), atol=3)
-    found, _ = oriented(xy, np.ones((30, 4)), seen.finder.fixed_xy)
+    np.testing.assert_allclose(seen.estimator.fixed_xy, (300, 200), atol=3)
+    found, _ = oriented(xy, np.ones((30, 4)), seen.estimator.fixed_xy)
     np.testing.assert_array_equal(found, truth)
     # Positive is the way it bends, whichever that is on the screen.
-    angle_deg, _, _ = bending_angle(truth, KEYPOINTS, seen.header.definition)
+    angle_deg, _, _ = bending_angle(truth, KEYPOINTS, seen.metadata.definition)
     np.testing.assert_allclose(angle_deg, np.linspace(0, 120, 30), atol=1e-6)
 
 
@@ -97,7 +97,7 @@ def test_a_place_that_fits_the_others_is_taken_before_a_higher_peak() -> None:
         """Takes the clamp for the moving end in most frames, and offers what is right second."""
 
         def offered(self, frames, region):
-            xy, peak = super().offered(frames, region)
+            xy, peak = super().candidate_peaks(frames, region)
             wrong = xy.copy()
             wrong[::3, 2:] = xy[::3, :2]
             return np.concatenate([wrong, xy], axis=2), np.concatenate([peak, 0.5 * peak], axis=2)
@@ -105,22 +105,22 @@ def test_a_place_that_fits_the_others_is_taken_before_a_higher_peak() -> None:
     finder = Attracted(truth, np.full((30, 4), 0.6), noise_px=0.0)
     seen = find_actuator(probe_frames(30), HEADER, finder)
     assert seen.seen == 1.0
-    places, peak = finder.offered(probe_frames(30), HEADER.regions[0])
-    found, _ = assemble_chain(places, peak, seen.finder.fixed_xy, seen.finder.body_px)
+    places, peak = finder.candidate_peaks(probe_frames(30), HEADER.regions[0])
+    found, _ = assemble_chain(places, peak, seen.estimator.fixed_xy, seen.estimator.body_px)
     np.testing.assert_array_equal(found, truth)
 
 
 def test_what_does_not_move_is_taken_as_the_network_says() -> None:
     still = np.repeat(body(40)[None], 30, axis=0)
     seen = find_actuator(probe_frames(30), HEADER, Oracle(still, np.full((30, 4), 0.6)))
-    np.testing.assert_allclose(seen.finder.fixed_xy, still[0, 0], atol=3)
+    np.testing.assert_allclose(seen.estimator.fixed_xy, still[0, 0], atol=3)
 
 
 def test_the_region_holds_every_pose_that_was_clearly_seen() -> None:
     xy, peak = arms(), np.full((30, 4), 0.6)
     xy[::3], peak[::3] = 20.0, 0.05  # a hand in the way: somewhere else, and hardly seen
     seen = find_actuator(probe_frames(30), HEADER, Oracle(xy, peak))
-    region = seen.header.region_for(SIZE_WH)
+    region = seen.metadata.region_for(SIZE_WH)
     points = xy[1::3].reshape(-1, 2)
     corner = region.left, region.top
     assert (points >= corner).all()
@@ -138,7 +138,7 @@ def test_a_keypoint_taken_for_something_far_away_does_not_make_the_body_longer()
         """Takes a tool on the bench for the middle of the body, in most frames, when it looks at all of them."""
 
         def offered(self, frames, region):
-            xy, peak = super().offered(frames, region)
+            xy, peak = super().candidate_peaks(frames, region)
             middle = xy[:, 1:2] + between[:, None, None] * (xy[:, 2:3] - xy[:, 1:2])
             xy = np.concatenate([xy[:, :2], middle, xy[:, 2:]], axis=1)
             peak = np.full(xy.shape[:3], peak[0, 0, 0])
@@ -158,7 +158,7 @@ def test_a_keypoint_taken_for_something_far_away_does_not_make_the_body_longer()
     )
     seen = find_actuator(probe_frames(30), header, Distracted(arms(), np.full((30, 4), 0.6)))
     usual = find_actuator(probe_frames(30), HEADER, Oracle(arms(), np.full((30, 4), 0.6)))
-    regions = [s.header.region_for(SIZE_WH) for s in (seen, usual)]
+    regions = [s.metadata.region_for(SIZE_WH) for s in (seen, usual)]
     for scale in ("locator_scale", "refiner_scale"):
         one, other = (getattr(region, scale) for region in regions)
         assert one == pytest.approx(other, rel=0.15)
@@ -170,7 +170,7 @@ def test_a_body_is_looked_at_larger_where_more_is_seen_then(sees_all_from: int, 
         """Takes something beside the clamp for it in two frames of five, where the body is small."""
 
         def offered(self, frames, region):
-            xy, peak = super().offered(frames, region)
+            xy, peak = super().candidate_peaks(frames, region)
             if region.width < SIZE_WH[0] and 140 * region.locator_scale < sees_all_from:
                 xy[::5, :2] += 40.0
                 xy[1::5, :2] += 40.0
@@ -180,7 +180,7 @@ def test_a_body_is_looked_at_larger_where_more_is_seen_then(sees_all_from: int, 
     seen = find_actuator(probe_frames(30), HEADER, finder)
     usual = find_actuator(probe_frames(30), HEADER, Oracle(arms(), np.full((30, 4), 0.6)))
     assert seen.seen == pytest.approx(0.6 if sees_all_from == 1000 else 1.0)
-    scales = [s.header.region_for(SIZE_WH).locator_scale for s in (seen, usual)]
+    scales = [s.metadata.region_for(SIZE_WH).locator_scale for s in (seen, usual)]
     assert scales[0] / scales[1] == pytest.approx(scale_share, rel=0.05)
 
 
@@ -201,9 +201,9 @@ def test_glimpses_that_disagree_with_the_others_do_not_count() -> None:
     xy = arms()
     xy[::5] += 150.0  # clearly seen, and elsewhere: a shadow taken for the body
     seen = find_actuator(probe_frames(30), HEADER, Oracle(xy, np.full((30, 4), 0.6)))
-    np.testing.assert_allclose(seen.finder.fixed_xy, (300, 200), atol=3)
+    np.testing.assert_allclose(seen.estimator.fixed_xy, (300, 200), atol=3)
     assert seen.seen == pytest.approx(0.8)
-    region = seen.header.region_for(SIZE_WH)
+    region = seen.metadata.region_for(SIZE_WH)
     assert region.left + region.width < xy[::5, :, 0].max()
 
 
@@ -258,11 +258,11 @@ def test_a_video_has_usual_peaks_of_its_own() -> None:
 
     class Dim(Oracle):
         def refined(self, frames, xy, region, reference):
-            found = super().refined(frames, xy, region, reference)
+            found = super().refine(frames, xy, region, reference)
             return Detections(found.xy, np.tile([0.9, 0.6, 0.4, 0.1], (len(xy), 1)), found.covariance)
 
     seen = find_actuator(probe_frames(30), HEADER, Dim(arms(), peak))
-    np.testing.assert_allclose(seen.header.calibration.usual, [0.6, 0.6, 0.4, 0.3])
+    np.testing.assert_allclose(seen.metadata.calibration.normalising_peak, [0.6, 0.6, 0.4, 0.3])
 
 
 def drawn(truth: np.ndarray) -> np.ndarray:
@@ -365,7 +365,7 @@ def test_what_looks_closer_says_where_the_moving_end_is_and_looks_on() -> None:
     xy[::6] += 150.0
     seen = find_actuator(probe_frames(30), HEADER, Oracle(xy, np.full((30, 4), 0.6)), closer)
     assert asked[0].tolist() == [i % 6 != 0 for i in range(30)]
-    assert seen.finder.align.ends == ((2, 3),)
+    assert seen.estimator.align.ends == ((2, 3),)
 
     reads: list[int] = []
 
@@ -376,7 +376,7 @@ def test_what_looks_closer_says_where_the_moving_end_is_and_looks_on() -> None:
         return Detections(np.full((n, 4, 2), middle), np.full((n, 4), 0.9), np.tile(np.eye(2), (n, 4, 1, 1)))
 
     region, frame = HEADER.regions[0], np.zeros((1, 480, 640, 3), np.uint8)
-    found = replace(seen.finder, refine=refine).refined(frame, truth[:1], region, HEADER.reference)
+    found = replace(seen.estimator, refine=refine).refine(frame, truth[:1], region, HEADER.reference)
     # Once, and from two sides: both ends, though the moving one is seen closer too.
     assert sum(reads) == 4 + 8
     np.testing.assert_allclose(found.xy[0, :2], truth[0, :2], atol=0.1)
@@ -386,11 +386,11 @@ def test_what_looks_closer_says_where_the_moving_end_is_and_looks_on() -> None:
 def test_the_moving_end_keeps_about_its_length() -> None:
     """A frame in which its two points lie further apart is searched again, and not believed."""
     seen = find_actuator(probe_frames(30), HEADER, Oracle(arms(), np.full((30, 4), 0.6), noise_px=0.0))
-    region = seen.header.region_for(SIZE_WH)
+    region = seen.metadata.region_for(SIZE_WH)
     stretched = body(30)[None].repeat(3, axis=0)
     for chain, length in zip(stretched, (20.0, 50.0, 70.0), strict=True):
         chain[3] = chain[2] + length / 30 * (chain[3] - chain[2])
-    assert seen.header.fits(stretched, region).tolist() == [
+    assert seen.metadata.fits(stretched, region).tolist() == [
         [True] * 4,
         [True] * 4,
         [True, True, False, False],
@@ -453,7 +453,7 @@ def test_what_was_learnt_and_shows_less_than_before_is_forgotten(in_frames, wors
     unsure = Oracle(*lost_in_every_third(), noise_px=0.0)
     seen = in_frames(unsure, lambda *_: worse)
     assert seen.seen == pytest.approx(2 / 3)
-    assert seen.finder.locate is unsure
+    assert seen.estimator.locate is unsure
 
 
 def test_of_what_is_hidden_nothing_is_learnt_and_a_tip_is_no_worse_for_a_hidden_base(in_frames) -> None:
@@ -488,7 +488,7 @@ def test_a_moving_end_that_both_networks_see_in_other_places_is_taken_for_someth
 
     class Torn(Oracle):
         def refined(self, frames, xy, region, reference):
-            found = super().refined(frames, xy, region, reference)
+            found = super().refine(frames, xy, region, reference)
             off = np.array([int(frame[0, 0, 0]) < 10 for frame in frames]) * 40.0 / region.refiner_scale
             found.xy[:, 3, 1] += off
             return found
@@ -521,7 +521,9 @@ def test_ends_seen_closer_are_surer_across_than_the_network_says(in_frames) -> N
         (HEADER, None, 1),
         (learnt, Aligned(), 1),
     ):
-        seen = find_actuator(drawn(truth), header, oracle, lambda g, xy, s, r, align=align: (xy, align))
+        seen = find_actuator(
+            drawn(truth), header, oracle, lambda g, xy, s, r, end_regressor=align: (xy, align)
+        )
         found = seen.believed(wide)
         along = np.diff(found.xy[:, 2:], axis=1)[:, 0]
         along /= np.linalg.norm(along, axis=1, keepdims=True)

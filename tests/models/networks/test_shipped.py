@@ -25,7 +25,7 @@ def test_what_ships_finds_canonical_points(backbone: str) -> None:
     pairs = [pair for pair in rendered_samples(1001, range(12)) if pair[0].visible.all()]
     off = []
     for sample, frame in pairs:
-        xy, _ = checkpoint.network.finder().located(sample.picture[None], frame.region)
+        xy, _ = checkpoint.network.estimator().located(sample.picture[None], frame.region)
         length = np.linalg.norm(np.diff(frame.xy, axis=0), axis=1).sum()
         off.append(np.linalg.norm(xy[0] - frame.xy, axis=1) / length)
     assert len(pairs) >= 5

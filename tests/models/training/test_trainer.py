@@ -147,8 +147,8 @@ def test_what_a_network_knew_of_other_actuators_it_keeps(
         """How far the refiner is off on rendered actuators that neither training has seen, median."""
         monkeypatch.setattr(lessons, "REHEARSED_AT_ONCE", at_once)
         checkpoint = train(frames, KEYPOINTS, definition, tmp_path / str(at_once), settings)
-        finder = checkpoint.network.finder()
-        found = [finder.refined(f.fine[None], f.xy[None], f.region, checkpoint.reference) for f in others]
+        finder = checkpoint.network.estimator()
+        found = [finder.refine(f.fine[None], f.xy[None], f.region, checkpoint.reference) for f in others]
         off = np.stack([np.linalg.norm(p.xy[0] - f.xy, axis=1) for p, f in zip(found, others, strict=True)])
         return float(np.median(off[np.stack([f.in_sight for f in others])]))
 
@@ -279,7 +279,7 @@ def test_a_network_that_knows_actuators_learns_from_positions_nearer_to_the_trut
 ) -> None:
     frames, truth = rendered[0][::2], rendered[1][::2]
     knows = trainer_from("actuator", frames, definition, tmp_path / "model")
-    positions = knows.evidence.known_before(knows.pair.average.finder(), np.ones(4, bool))
+    positions = knows.evidence.known_before(knows.pair.average.estimator(), np.ones(4, bool))
     labels = np.stack([frame.xy for frame in frames])
     assert tip_sd_deg(labels, truth) > 1.5
     assert tip_sd_deg(positions, truth) < 0.4 * tip_sd_deg(labels, truth)
