@@ -1,4 +1,4 @@
-// What the server says unasked (server-sent events), and whether the connection stands.
+// Server-sent events, and whether the connection to the server is up.
 
 const AGAIN_MS = 700;
 

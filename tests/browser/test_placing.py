@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from desk import KEYPOINTS
+from page_driver import KEYPOINTS
 
 
 def test_five_frames_of_the_sample_trial(labeller, sample_truth, capsys) -> None:
@@ -36,7 +36,7 @@ def test_five_frames_of_the_sample_trial(labeller, sample_truth, capsys) -> None
             )  # two decimals are kept
         assert labeller.xy_on_disk(image) == pytest.approx(truth, abs=at_zoom_4)
     done = page.locator('.film-frame[data-state="labelled"]').count()
-    assert (done, page.locator("#progress-words").inner_text()) == (5, "5 of 10 labelled")
+    assert (done, page.locator("#progress-text").inner_text()) == (5, "5 of 10 labelled")
     click_to_saved_ms = page.evaluate("window.times.saved")
     frame_to_frame_ms = page.evaluate("performance.getEntriesByName('frame opened').map(e => e.duration)")[1:]
     with capsys.disabled():
@@ -59,12 +59,12 @@ def test_the_open_frame_chosen_again_takes_clicks_at_once(labeller, sample_truth
     assert labeller.xy_on_disk(image)[0] == pytest.approx(clicked, abs=0.0051)
 
 
-def test_what_is_seen_is_what_is_saved(make_desk, discs_project) -> None:
+def test_what_is_seen_is_what_is_saved(make_session, discs_project) -> None:
     """Where a disc is on the screen is taken from a screenshot, not from the page; on screens of both kinds."""
     project, truth = discs_project
-    desk = make_desk(project.root)
+    session = make_session(project.root)
     for image, ratio in (("img00000.png", 1), ("img00001.png", 2)):
-        labeller = desk.page(pixel_ratio=ratio)
+        labeller = session.page(pixel_ratio=ratio)
         labeller.open(image)
         labeller.press("l")  # no loupe over the discs
         for k, (xy, zoom) in enumerate(zip(truth, (None, 4.0), strict=False)):
@@ -84,7 +84,7 @@ def seen_disc(labeller, xy: np.ndarray, ratio: int) -> tuple[float, float]:
     clip = {"x": near[0] - reach, "y": near[1] - reach, "width": 2 * reach, "height": 2 * reach}
     shot = np.frombuffer(labeller.page.screenshot(clip=clip), np.uint8)
     light = cv2.imdecode(shot, cv2.IMREAD_GRAYSCALE).astype(float)
-    light[light < 40] = 0  # the surround of the picture is not quite black
+    light[light < 40] = 0  # the surround of the image is not quite black
     y, x = (np.mgrid[: light.shape[0], : light.shape[1]] + 0.5) / ratio
     return clip["x"] + (light * x).sum() / light.sum(), clip["y"] + (light * y).sum() / light.sum()
 

@@ -40,16 +40,18 @@ def test_undo_and_redo_over_a_reload(labeller, sample_truth) -> None:
     assert labeller.xy_on_disk(image) == pytest.approx(placed)
 
 
-def test_server_killed_in_the_middle(desk, sample_truth) -> None:
+def test_server_killed_in_the_middle(session, sample_truth) -> None:
     image = "img00111.png"
-    labeller, truth = desk.page(), sample_truth[image]
+    labeller, truth = session.page(), sample_truth[image]
     page, sent = labeller.page, []
     page.on("request", lambda request: request.method == "PUT" and sent.append(request.post_data))
     labeller.open(image)
     labeller.click(truth[0])
     labeller.saved()
     # The first answer is lost on the way: the server has done the edit, the page does not know.
-    page.route("**/api/frames/**", lambda route: (route.fetch(), desk.server.kill(), route.abort()), times=1)
+    page.route(
+        "**/api/frames/**", lambda route: (route.fetch(), session.server.kill(), route.abort()), times=1
+    )
     clicked = labeller.click(truth[1])
     page.wait_for_selector('#saving[data-state="offline"]')
     assert labeller.xy_on_disk(image)[1] == pytest.approx(clicked, abs=0.0051)
@@ -57,7 +59,7 @@ def test_server_killed_in_the_middle(desk, sample_truth) -> None:
     labeller.click(truth[2])
     labeller.press("ArrowLeft")
     assert "3 edits" in page.locator("#saving").inner_text()
-    desk.server.start()
+    session.server.start()
     labeller.saved()
     labeller.click(truth[3])
     labeller.saved()
@@ -73,20 +75,20 @@ def test_server_killed_in_the_middle(desk, sample_truth) -> None:
     page.close()
 
 
-def test_edits_outlive_their_tab(desk, sample_truth) -> None:
+def test_edits_outlive_their_tab(session, sample_truth) -> None:
     """The server is gone, then the browser's tab too: the next tab sends what the first could not."""
     image = "img00136.png"
-    labeller, truth = desk.page(), sample_truth[image]
+    labeller, truth = session.page(), sample_truth[image]
     labeller.open(image)
     labeller.click(truth[0])
     labeller.saved()
-    desk.server.kill()
+    session.server.kill()
     for xy in truth[1:]:
         labeller.click(xy)
     labeller.page.wait_for_selector('#saving[data-state="offline"]')
     labeller.page.close()
-    desk.server.start()
-    again = desk.page()
+    session.server.start()
+    again = session.page()
     expect(again.page.locator(f'[data-id="video/{image}"]')).to_have_attribute("data-state", "labelled")
     again.saved()
     assert np.abs(again.xy_on_disk(image) - truth).max() < 1.0
@@ -94,8 +96,8 @@ def test_edits_outlive_their_tab(desk, sample_truth) -> None:
     again.page.close()
 
 
-def test_two_tabs(desk, sample_truth) -> None:
-    one, two = desk.page(), desk.page()
+def test_two_tabs(session, sample_truth) -> None:
+    one, two = session.page(), session.page()
     held: list[Route] = []
     for image, choice in (("img00149.png", "mine"), ("img00178.png", "theirs")):
         truth = sample_truth[image]

@@ -25,7 +25,7 @@ def besieged(make_study, serve_for_module):
     (study.root.parent / "outside.png").write_bytes(SECRET)
     page = serve_for_module(study).page()
     assert page.put(0, points=POINTS, note="mine").status == 200
-    # Links that lead out, as a picture and as a whole video's folder.
+    # Links that lead out, as an image and as a whole video's folder.
     (study.folder / "img09990.png").symlink_to(study.root.parent / "outside.png")
     (study.root / "labeled-data" / "elsewhere").symlink_to(study.root.parent / "outside")
     (study.folder / "img09980.png").mkdir()
@@ -119,7 +119,7 @@ class TestWhoIsLetIn:
             page("POST", "/api/undo", {"edit_id": str(uuid.uuid4()), "client_id": "anna"}, Origin=origin), 403
         )
 
-    def test_no_picture_for_another_page(self, besieged) -> None:
+    def test_no_image_for_another_page(self, besieged) -> None:
         _, page = besieged
         address = page.get("/api/frames")["frames"][0]["image_url"]
         for site in ("cross-site", "same-site"):
@@ -210,11 +210,11 @@ OUTSIDE = [
 @pytest.mark.usefixtures("unharmed")
 class TestWhatIsServed:
     @pytest.mark.parametrize("path", OUTSIDE)
-    def test_nothing_but_pictures_and_the_page(self, besieged, path) -> None:
+    def test_nothing_but_images_and_the_page(self, besieged, path) -> None:
         study, page = besieged
         refused(page("GET", path.format(video=study.address(0).split("/")[3])), 404, 400)
 
-    def test_nothing_but_pictures_and_the_page_by_raw_requests(self, besieged) -> None:
+    def test_nothing_but_images_and_the_page_by_raw_requests(self, besieged) -> None:
         # Clients mend such addresses before they send them.
         _, page = besieged
         for path in (
