@@ -7,6 +7,7 @@ import re
 import shutil
 import signal
 import subprocess
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -70,6 +71,7 @@ class Labeller:
 
     def view(self) -> tuple[float, float, float]:
         """Scale, left and top of the image on the stage, once drawn."""
+        self.page.bring_to_front()  # a tab behind another one draws once in a second or two
         self.page.evaluate(
             "() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
         )
@@ -113,6 +115,7 @@ class Labeller:
         self.page.mouse.up(button="middle")
 
     def open(self, image: str, video: str = "video") -> None:
+        self.page.bring_to_front()
         self.page.locator(f'[data-id="{video}/{image}"]').click()
         self.opened(image, video)
 
@@ -126,6 +129,13 @@ class Labeller:
     def press(self, *keys: str) -> None:
         for key in keys:
             self.page.keyboard.press(key)
+
+    def until(self, condition: Callable[[], bool], timeout_s: float = 20) -> None:
+        """Let the browser go on until a condition holds here."""
+        deadline = time.monotonic() + timeout_s
+        while not condition():
+            assert time.monotonic() < deadline, "the condition has not come true"
+            self.page.wait_for_timeout(10)
 
     def saved(self) -> None:
         self.page.wait_for_selector('#saving[data-state="saved"]', timeout=20_000)

@@ -207,9 +207,10 @@ def test_a_4k_frame_is_ready_before_it_is_wanted(make_session, tmp_path: Path, c
     session.on_request = lambda url: "/image?" in url and asked.append(url.split("/")[-2])
     labeller = session.page()
     page = labeller.page
-    while len(set(asked)) < 3:
-        page.wait_for_timeout(100)
-    page.wait_for_timeout(1000)  # decoded
+    labeller.until(lambda: len(set(asked)) == 3)
+    page.wait_for_function(
+        "() => performance.getEntriesByType('resource').filter(e => e.name.includes('/image?')).length === 3"
+    )
     asked.clear()
     for frame in (1, 2):
         labeller.press("d")
@@ -226,7 +227,7 @@ def test_tone_theme_help_and_loupe(labeller) -> None:
     def middle() -> bytes:
         box = page.locator("#stage").bounding_box()
         page.mouse.move(5, 5)
-        page.wait_for_timeout(100)
+        labeller.view()  # what hung on the pointer is gone
         clip = {"x": box["x"] + 300, "y": box["y"] + 200, "width": 200, "height": 200}
         return page.screenshot(clip=clip)
 

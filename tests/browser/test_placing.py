@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from page_driver import KEYPOINTS
+from playwright.sync_api import expect
 
 
 def test_five_frames_of_the_sample_trial(labeller, sample_truth, capsys) -> None:
@@ -51,8 +52,7 @@ def test_the_open_frame_chosen_again_takes_clicks_at_once(labeller, sample_truth
     held = []
     labeller.page.route("**/api/frames/**", lambda route: held.append(route), times=1)  # a slow server
     labeller.open(image)
-    while not held:
-        labeller.page.wait_for_timeout(20)
+    labeller.until(lambda: bool(held))
     clicked = labeller.click(sample_truth[image][0])
     held[0].continue_()
     labeller.saved()
@@ -139,10 +139,11 @@ def test_all_by_keyboard(labeller, sample_truth) -> None:
     """A frame without touching the mouse: aim with the arrows, place with Enter, go on with Enter."""
     image, truth = "img00300.png", sample_truth["img00300.png"]
     for _ in range(len(sample_truth)):
-        if labeller.page.locator("#stage").get_attribute("data-frame") == f"video/{image}":
+        opened = labeller.page.locator("#stage").get_attribute("data-frame")
+        if opened == f"video/{image}":
             break
         labeller.press("d")
-        labeller.page.wait_for_timeout(200)
+        expect(labeller.page.locator("#stage")).not_to_have_attribute("data-frame", str(opened))
     for k, xy in enumerate(truth):
         labeller.press("Enter")  # the crosshair
         target = np.round(xy * 4) / 4
