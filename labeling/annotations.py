@@ -196,7 +196,17 @@ class Annotations:
             write_notes(self.store.labels_dir / video, image, entry)
 
     def write_repeat(self, video: str, image: str, repeat: Mapping[str, Any]) -> None:
-        """Store a repeat label in the notes, never among the labels. Raises what `write` raises."""
+        """Store a repeat label in the notes, never among the labels. Raises what `write` raises.
+
+        Parameters
+        ----------
+        video : str
+            Stem of the video.
+        image : str
+            File name of the image.
+        repeat : mapping of str to Any
+            The repeat label as it is stored in the notes, see `RepeatLabel.to_json`.
+        """
         write_notes(self.store.labels_dir / video, image, {"repeat": dict(repeat)})
 
     def _read(self, video: str, stamps: tuple[_Stamp, ...]) -> VideoFolder:

@@ -179,7 +179,20 @@ class Editor:
         return self._step(Deed.UNDO, edit_id, client_id)
 
     def redo(self, *, edit_id: str, client_id: str) -> Edited | None:
-        """Redo what the client's latest undo has undone; parameters and outcome are those of `undo`."""
+        """Redo what the client's latest undo has undone. Raises what `edit` raises.
+
+        Parameters
+        ----------
+        edit_id : str
+            Unique id of this redo; the same one again does nothing again.
+        client_id : str
+            Undo history.
+
+        Returns
+        -------
+        Edited or None
+            None when there is nothing to redo.
+        """
         return self._step(Deed.REDO, edit_id, client_id)
 
     def repeat(

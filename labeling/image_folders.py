@@ -38,6 +38,8 @@ def resolve_stem(
 
     Parameters
     ----------
+    store : LabelStore
+        The project's label store.
     stems : sequence of str
         The names, as from `candidate_stems`.
     taken : collection of str

@@ -151,7 +151,18 @@ class _MotionLine:
         self._turns = Counter[object](video for video, _ in known)
 
     def select(self, count: int) -> list[tuple[int, FrameDescriptor]]:
-        """Select up to `count` frames; (video, descriptor) each."""
+        """Select frames.
+
+        Parameters
+        ----------
+        count : int
+            Largest number of frames.
+
+        Returns
+        -------
+        list of tuple of int and FrameDescriptor
+            (index of the video, descriptor) of each frame.
+        """
         chosen: list[tuple[int, FrameDescriptor]] = []
         for _ in range(_ROUNDS):
             targets = fill_gaps(self._value.min(), self._value.max(), self._taken, count - len(chosen))

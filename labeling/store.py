@@ -281,7 +281,17 @@ def images_in(folder: Path) -> list[Path]:
 
 
 def merge_rows(rows: Iterable[LabelRow]) -> dict[str, LabelRow]:
-    """Return rows by image; several rows of one image are merged.
+    """Merge rows by image.
+
+    Parameters
+    ----------
+    rows : iterable of LabelRow
+        Rows, several of which may be of one image.
+
+    Returns
+    -------
+    dict of str to LabelRow
+        Image name -> its row.
 
     Raises
     ------
@@ -296,6 +306,16 @@ def merge_rows(rows: Iterable[LabelRow]) -> dict[str, LabelRow]:
 
 def merge_row(first: LabelRow, second: LabelRow) -> LabelRow:
     """Merge the cells of two rows of one image.
+
+    Parameters
+    ----------
+    first, second : LabelRow
+        The rows; where both have a cell, the text of the first one is kept.
+
+    Returns
+    -------
+    LabelRow
+        The merged row.
 
     Raises
     ------

@@ -23,7 +23,7 @@ const NOTE_PAUSE_MS = 700;
 
 export function connectControls({ actions, open, queue, tone, options }) {
   for (const [id, name] of Object.entries(BUTTONS)) byId(id).addEventListener("click", () => actions[name]());
-  // After a click with the mouse the keys belong to the image again; who came by keyboard stays where they are.
+  // A click with the mouse returns the keyboard focus to the image; a click by keyboard leaves it on the control.
   document.addEventListener("click", (event) => {
     const control = event.target.closest("button, [role=option]");
     if (control && event.detail > 0 && !document.querySelector("dialog[open]")) {

@@ -1,4 +1,4 @@
-// Decoded images, ready to be drawn: those seen last and those wanted next, within a bounded memory.
+// Cache of decoded images: the ones shown last and the ones needed next, within a bounded memory.
 
 const BUDGET_BYTES = 400e6; // a dozen 4K frames
 const LEAST_KEPT = 3;

@@ -1,4 +1,4 @@
-// The page from the start: fetches the project, makes the parts and connects them.
+// Entry point of the page: fetches the project, creates the parts and connects them.
 
 import { makeActions } from "./actions.js";
 import { Refused, Unreachable, get, send } from "./api.js";
@@ -202,7 +202,7 @@ async function start() {
     async connected() {
       setBannerUnlessRepeating(null);
       queue.setConnected(true);
-      // What happened while nobody listened, be it since the list was fetched a moment ago.
+      // Changes while no events were received, including those since the list was fetched.
       await openFirst().catch(() => {});
       if (open.frame) frameNavigator.refresh(open.frame.id);
     },

@@ -1,4 +1,4 @@
-// How a keypoint looks: a colour of Okabe and Ito's palette, told apart with any colour vision, and a shape of
+// The mark of a keypoint: a colour of Okabe and Ito's palette, distinct with any colour vision, and a shape of
 // its own. The fixed end is blue, the moving end orange, the angle yellow, disagreement red-orange, as in the overlay video.
 
 export const FIXED_END = "#56b4e9";

@@ -2,7 +2,7 @@
 // the open frame.
 
 const GRAB_PX = 10;
-// While points are missing a click mostly means to place: an existing point must be met more exactly.
+// While points are missing most clicks place one, so an existing point must be hit more exactly.
 const GRAB_WHILE_PLACING_PX = 6;
 const DRAG_STARTS_PX = 3;
 
@@ -66,7 +66,7 @@ export class Pointer extends EventTarget {
       const mark = this.#view.toScreen(this.#open.points[near]);
       this.#gesture = { kind: "grab", keypoint: near, start: at, offset: [mark[0] - at[0], mark[1] - at[1]] };
     } else if (target && this.#view.contains(this.#view.toImage(at))) {
-      // Down to place, move to correct with the loupe, up to keep.
+      // Button down places the point, moving corrects it with the loupe, button up saves it.
       this.#gesture = { kind: "place", keypoint: target };
       this.dragged = target;
       this.#open.select(target);

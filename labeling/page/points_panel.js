@@ -1,4 +1,4 @@
-// The list of points on the right: which is placed where, which is next, where the network disagrees.
+// The list of points on the right: their positions, the next one to place, and where the network disagrees.
 
 import { byId, element } from "./elements.js";
 import { swatch } from "./palette.js";

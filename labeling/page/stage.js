@@ -1,9 +1,9 @@
-// The canvases: the image, the marks on it, the loupe. Draws what has changed, once a screen refresh.
+// The canvases: the image, the marks on it, the loupe. Changed layers are drawn once per screen refresh.
 
 import { drawLoupe } from "./loupe.js";
 import { drawMarks } from "./marks.js";
 
-// From here on a pixel is shown as the square that it is; below, smooth images show edges better.
+// From this scale on pixels are drawn as squares; below it, a smoothed image shows edges better.
 const SQUARE_PIXELS_SCALE = 8;
 
 export class Stage {
