@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bendtrack.labeling.selection import choose
-from bendtrack.labeling.survey import By, cells_for, survey
+from bendtrack.labeling.selection import select_frames
+from bendtrack.labeling.video_scan import SampleBy, clusters_for, scan_video
 from bendtrack.tracker.synthetic.trial import render_trial
 from bendtrack.tracker.video import Video
 
@@ -42,12 +42,12 @@ def measure(folder: Path, seed: int, args: argparse.Namespace) -> dict[str, floa
     begun = time.perf_counter()
     frames = sum(1 for _ in Video(trial.video_path))
     decoded = time.perf_counter()
-    found = survey(trial.video_path, cells_for(By.APPEARANCE, 1))
+    found = scan_video(trial.video_path, clusters_for(SampleBy.APPEARANCE, 1))
     surveyed = time.perf_counter()
-    chosen = choose([found], args.count)[0]
+    chosen = select_frames([found], args.count)[0]
     done = time.perf_counter()
     angle_deg = trial.angle_deg
-    reached = np.sort(angle_deg[[glimpse.frame for glimpse in chosen]])
+    reached = np.sort(angle_deg[[descriptor.frame for descriptor in chosen]])
     return {
         "seed": seed,
         "range_deg": float(np.ptp(angle_deg)),

@@ -1,4 +1,4 @@
-"""How long the labelling page waits: a click until it is saved, the next frame, a 4K picture, the list of frames.
+"""How long the labelling page waits: a click until it is saved, the next frame, a 4K image, the list of frames.
 
     python benchmarks/label_server.py                              30 frames of 640 x 480, 4 of 4K, 200 clicks
     python benchmarks/label_server.py --clicks 5 --large 1         a run to see that it runs
@@ -31,7 +31,7 @@ KEYPOINTS = ("base_1", "base_2", "tip_1", "tip_2")
 BENDTRACK = Path(sys.executable).parent / "bendtrack"
 
 
-def pictures(folder: Path, count: int, size_wh: tuple[int, int]) -> None:
+def images(folder: Path, count: int, size_wh: tuple[int, int]) -> None:
     """Frames that compress about as those of a video do: a gradient with some noise."""
     folder.mkdir(parents=True)
     rng = np.random.default_rng(0)
@@ -88,12 +88,12 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--clicks", type=int, default=200)
-    parser.add_argument("--large", type=int, default=4, help="pictures of 3840 x 2160")
+    parser.add_argument("--large", type=int, default=4, help="images of 3840 x 2160")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="bendtrack-label-") as name:
         project = Project.create(Path(name) / "study", keypoints=KEYPOINTS)
-        pictures(project.labels_dir / "small", 30, (640, 480))
-        pictures(project.labels_dir / "large", args.large, (3840, 2160))
+        images(project.labels_dir / "small", 30, (640, 480))
+        images(project.labels_dir / "large", args.large, (3840, 2160))
         server = subprocess.Popen(
             [BENDTRACK, "label", project.root, "--no-browser"], stdout=subprocess.PIPE, text=True
         )
@@ -134,12 +134,12 @@ def measure(page: Page, folder: Path, clicks: int) -> None:
 
     told("a bare file written and flushed", times_ms(flush, clicks))
     told("a click, saved", times_ms(click, clicks))
-    told("a frame of 640 x 480, points and picture", times_ms(lambda i: opened(small[i]), len(small)))
-    told("a frame of 3840 x 2160, points and picture", times_ms(lambda i: opened(large[i]), len(large)))
+    told("a frame of 640 x 480, points and image", times_ms(lambda i: opened(small[i]), len(small)))
+    told("a frame of 3840 x 2160, points and image", times_ms(lambda i: opened(large[i]), len(large)))
     told("its thumbnail, first time", times_ms(lambda i: page("GET", large[i]["thumb_url"]), len(large)))
     told("the list of frames", times_ms(lambda i: page("GET", "/api/frames"), min(clicks, 20)))
     size = os.path.getsize(folder / "study" / "labeled-data" / "large" / large[0]["image"]) / 1e6
-    print(f"the 4K picture has {size:.1f} MB as PNG")
+    print(f"the 4K image has {size:.1f} MB as PNG")
 
 
 if __name__ == "__main__":

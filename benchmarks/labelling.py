@@ -30,7 +30,7 @@ from bendtrack.tracker.results import read_results
 from bendtrack.tracker.synthetic.trial import Trial, render_trial
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "browser"))
-from desk import BROWSERS, Desk, Labeller, Server, browser_path
+from page_driver import BROWSERS, Labeller, PageSession, Server, browser_path
 
 BENDTRACK = Path(sys.executable).parent / "bendtrack"
 DROPPED_PX = np.array([4.0, -3.0])
@@ -51,7 +51,7 @@ class Hand:
         return self._labeller.page
 
     def label(self, image: str, *, closer: bool) -> None:
-        """All points of the picture that is open, from the fitted view or from closer."""
+        """All points of the image that is open, from the fitted view or from closer."""
         meant = self._trial.xy[int(re.sub(r"\D", "", image))] + self._rng.normal(0, self._noise_px, (4, 2))
         if closer:
             self._labeller.zoom_to(3.0, meant.mean(axis=0))
@@ -77,9 +77,9 @@ class Hand:
         self.keys += len(keys)
 
 
-def label_all(desk: Desk, trial: Trial, args: argparse.Namespace) -> str:
+def label_all(session: PageSession, trial: Trial, args: argparse.Namespace) -> str:
     """Label what the page offers until nothing is left, then the blind repeats; what there is to say of it."""
-    labeller = desk.page()
+    labeller = session.page()
     page = labeller.page
     hand = Hand(labeller, trial, args.noise, args.seed)
     shown: list[str] = []
@@ -101,7 +101,7 @@ def label_all(desk: Desk, trial: Trial, args: argparse.Namespace) -> str:
         hand.label(image, closer=index % 3 == 2)
         labeller.saved()
     taken = time.perf_counter() - begun
-    words = page.locator("#progress-words").inner_text()
+    words = page.locator("#progress-text").inner_text()
     said = f"{words}; {hand.clicks} clicks and {hand.keys} keys in {taken:.0f} s"
     labeller.press("r")
     for _ in range(args.count):
@@ -145,12 +145,12 @@ def whole_job(folder: Path, browser_file: str, args: argparse.Namespace) -> None
         browser = playwright.chromium.launch(
             executable_path=browser_file, args=["--no-sandbox", "--disable-gpu"]
         )
-        desk = Desk(Server(BENDTRACK, root), browser)
-        print(label_all(desk, trial, args), flush=True)
-        desk.close()
+        session = PageSession(Server(BENDTRACK, root), browser)
+        print(label_all(session, trial, args), flush=True)
+        session.close()
         browser.close()
-        if desk.problems:
-            sys.exit(f"the page complained: {desk.problems}")
+        if session.problems:
+            sys.exit(f"the page reported: {session.problems}")
     frames = LabelStore.of(Project.open(root)).read()
     labelled = [int(re.sub(r"\D", "", frame.image_path.name)) for frame in frames]
     off = np.stack([frame.xy for frame in frames]) - trial.xy[labelled]

@@ -1,7 +1,7 @@
-"""Every frame of a project with what is known of it, read from labeled-data/ as it stands on disk.
+"""Annotations: the state of every frame of a project, read from labeled-data/ as it is on disk.
 
-Labels are `store.py`'s, all else is `side_data.py`'s; here the two become one `FrameState`. Nothing outside the
-project is followed: a link that leads out of it is not there.
+Labels come from `store.py`, all else from `notes_file.py`; here the two become one `FrameState`. Links that lead
+out of the project are not followed.
 """
 
 from __future__ import annotations
@@ -19,20 +19,22 @@ from typing import Any
 from ..tracker.errors import BendtrackError, LabelError
 from ..tracker.project import SETTINGS_FILE, Project
 from .frame_state import FrameState
-from .side_data import NOTES_FILE, Remarks, read_notes, write_notes
+from .notes_file import NOTES_FILE, NotesEntry, read_notes, write_notes
 from .store import IMAGE_SUFFIXES, LabelStore, frame_index, sorted_by_frame
 
 _Stamp = tuple[str, int, int, int]
 
 
 @dataclass(frozen=True)
-class Picture:
-    """A picture file of a video's folder.
+class ImageFile:
+    """An image file in a video's folder.
 
     Attributes
     ----------
-    path : the file
-    stamp : changes when the file does
+    path : Path
+        The file.
+    stamp : str
+        Made of modification time and size, so that it changes when the file does.
     """
 
     path: Path
@@ -45,36 +47,42 @@ class Picture:
 
     @cached_property
     def frame(self) -> int | None:
-        """Index of the frame in its video, None where the name does not tell."""
+        """Index of the frame in its video, None where the name gives none."""
         return frame_index(self.path.name)
 
 
 @dataclass(frozen=True)
 class VideoFolder:
-    """One folder of labeled-data/, as it stood at one moment.
+    """One folder of labeled-data/, as it was at one moment.
 
     Attributes
     ----------
-    video : stem, the folder's name
-    pictures : image name -> file, in the order of the frames
-    states : image name -> what is known, for every picture
-    repeats : image name -> its repeat label as it stands in the notes, where there is one
+    video : str
+        Stem of the video, the folder's name.
+    images : mapping of str to ImageFile
+        Image name -> file, in the order of the frames.
+    states : mapping of str to FrameState
+        Image name -> state of the frame, for every image.
+    repeats : mapping of str to mapping of str to Any
+        Image name -> its repeat label as it is in the notes, where there is one.
     """
 
     video: str
-    pictures: Mapping[str, Picture]
+    images: Mapping[str, ImageFile]
     states: Mapping[str, FrameState]
     repeats: Mapping[str, Mapping[str, Any]]
 
 
 class Annotations:
-    """Reads and writes frame states. What has not changed on disk is not read again.
+    """Reads and writes frame states. Files that have not changed on disk are not read again.
 
     Parameters
     ----------
-    project : its settings are read again when bendtrack.toml has changed
-    lock : held while files are read, so that none is seen between two writes of one edit; who only looks
-        on can do without
+    project : Project
+        The project; its settings are read again when bendtrack.toml has changed.
+    lock : callable, optional
+        Returns a context that is held while files are read, so that none is read between two writes of one
+        edit. A caller that writes nothing can leave it out.
 
     Raises
     ------
@@ -88,7 +96,7 @@ class Annotations:
         self._lock = lock
         self._root = Path(os.path.realpath(project.root))
         self._use(project)
-        self._settings_stamp = self._stamp_of_settings()
+        self._known_settings_mtime = self._settings_mtime()
         self._cache: dict[str, tuple[tuple[_Stamp, ...], VideoFolder]] = {}
         self._cache_lock = threading.Lock()
         if not self._is_inside(project.labels_dir):
@@ -102,20 +110,20 @@ class Annotations:
         self.store = LabelStore.of(project)
 
     def refresh(self) -> None:
-        """Take over bendtrack.toml if it has changed (other commands write it) and can be read."""
-        stamp = self._stamp_of_settings()
-        if stamp == self._settings_stamp:
+        """Read bendtrack.toml again if it has changed (other commands write it) and is valid."""
+        stamp = self._settings_mtime()
+        if stamp == self._known_settings_mtime:
             return
         try:
             self._use(Project.open(self.project.root))
         except BendtrackError:
             return
-        self._settings_stamp = stamp
+        self._known_settings_mtime = stamp
         with self._cache_lock:
             self._cache.clear()
 
     def videos(self) -> list[str]:
-        """Stems of the videos that have a folder within the project, sorted."""
+        """Return the stems of the videos that have a folder within the project, sorted."""
         return [
             name
             for name in self.store.videos()
@@ -123,8 +131,17 @@ class Annotations:
         ]
 
     def folder(self, video: str) -> VideoFolder | None:
-        """One video's folder, None where there is no such video.
+        """Return one video's folder.
 
+        Parameters
+        ----------
+        video : str
+            Stem of the video.
+
+        Returns
+        -------
+        VideoFolder or None
+            None where there is no such video.
         Raises
         ------
         LabelError
@@ -133,7 +150,7 @@ class Annotations:
         return self._folder(video) if video in self.videos() else None
 
     def folders(self) -> list[VideoFolder]:
-        """All of them, by name. Errors as in `folder`."""
+        """Return all videos' folders, by name. Raises what `folder` raises."""
         return [self._folder(video) for video in self.videos()]
 
     def _folder(self, video: str) -> VideoFolder:
@@ -150,8 +167,16 @@ class Annotations:
         return folder
 
     def write(self, video: str, image: str, before: FrameState, after: FrameState) -> None:
-        """Put a frame from one state into another; what is equal in both is not touched.
+        """Write the difference between two states of a frame.
 
+        Parameters
+        ----------
+        video : str
+            Stem of the video.
+        image : str
+            File name of the image.
+        before, after : FrameState
+            State on disk, and the state to write. What is equal in both is not written.
         Raises
         ------
         LabelError
@@ -166,25 +191,35 @@ class Annotations:
         }
         if points:
             self.store.write_points(video, {image: points})
-        remarks = _remarks(after)
-        if remarks != _remarks(before):
-            write_notes(self.store.labels_dir / video, image, remarks)
+        entry = _notes_entry(after)
+        if entry != _notes_entry(before):
+            write_notes(self.store.labels_dir / video, image, entry)
 
     def write_repeat(self, video: str, image: str, repeat: Mapping[str, Any]) -> None:
-        """Keep a repeat label beside, never among, the labels. Errors as in `write`."""
+        """Store a repeat label in the notes, never among the labels. Raises what `write` raises.
+
+        Parameters
+        ----------
+        video : str
+            Stem of the video.
+        image : str
+            File name of the image.
+        repeat : mapping of str to Any
+            The repeat label as it is stored in the notes, see `RepeatLabel.to_json`.
+        """
         write_notes(self.store.labels_dir / video, image, {"repeat": dict(repeat)})
 
     def _read(self, video: str, stamps: tuple[_Stamp, ...]) -> VideoFolder:
         path = self.store.labels_dir / video
-        pictures = {
-            name: Picture(path / name, f"{mtime:x}-{size:x}")
+        images = {
+            name: ImageFile(path / name, f"{mtime:x}-{size:x}")
             for name, mtime, size, _ in stamps
             if name.lower().endswith(IMAGE_SUFFIXES)
         }
         rows = {row.image: row for row in self.store.table(video).rows}
         notes = read_notes(path)
         states, repeats = {}, {}
-        for name in sorted_by_frame(pictures):
+        for name in sorted_by_frame(images):
             points = {}
             for keypoint in self.store.keypoints:
                 point = rows[name].point(keypoint) if name in rows else None
@@ -193,25 +228,25 @@ class Annotations:
             states[name] = _state(points, notes.get(name, {}), self.store.keypoints)
             if notes.get(name, {}).get("repeat"):
                 repeats[name] = notes[name]["repeat"]
-        return VideoFolder(video, {name: pictures[name] for name in states}, states, repeats)
+        return VideoFolder(video, {name: images[name] for name in states}, states, repeats)
 
     def _stamps(self, folder: Path) -> tuple[_Stamp, ...]:
-        """Name, time, size and inode of every file that says something about the folder's frames."""
+        """Return name, modification time, size and inode of every image, label and notes file of a folder."""
         stamps = []
         with os.scandir(folder) as entries:
             for entry in entries:
-                is_picture = entry.name.lower().endswith(IMAGE_SUFFIXES)
+                is_image = entry.name.lower().endswith(IMAGE_SUFFIXES)
                 is_labels = entry.name.startswith("CollectedData_") and entry.name.endswith(".csv")
-                if entry.name.startswith(".") or not (is_picture or is_labels or entry.name == NOTES_FILE):
+                if entry.name.startswith(".") or not (is_image or is_labels or entry.name == NOTES_FILE):
                     continue
                 if entry.is_symlink() and not self._is_inside(Path(entry.path)):
-                    if is_picture:
+                    if is_image:
                         continue
                     raise LabelError(f"{entry.path}: expected a file of the project, got a link out of it")
                 try:
                     status = entry.stat()
                 except FileNotFoundError:
-                    continue  # replaced or removed meanwhile, or a link to nowhere
+                    continue  # replaced or removed meanwhile, or a broken link
                 if stat.S_ISREG(status.st_mode) and _is_text(entry.name):
                     stamps.append((entry.name, status.st_mtime_ns, status.st_size, status.st_ino))
         return tuple(sorted(stamps))
@@ -219,14 +254,14 @@ class Annotations:
     def _is_inside(self, path: Path) -> bool:
         return Path(os.path.realpath(path)).is_relative_to(self._root)
 
-    def _stamp_of_settings(self) -> int:
+    def _settings_mtime(self) -> int:
         return (self._root / SETTINGS_FILE).stat().st_mtime_ns
 
 
 def _state(
-    points: Mapping[str, tuple[float, float]], entry: Remarks, keypoints: tuple[str, ...]
+    points: Mapping[str, tuple[float, float]], entry: NotesEntry, keypoints: tuple[str, ...]
 ) -> FrameState:
-    # A point that another program has placed since is visible, whatever was said before.
+    # A point that another program has placed since is visible, even if it was marked as not visible before.
     hidden = tuple(k for k in keypoints if k in entry.get("not_visible", []) and k not in points)
     note = entry.get("note", "")
     return FrameState(
@@ -238,7 +273,7 @@ def _state(
     )
 
 
-def _remarks(state: FrameState) -> dict[str, Any]:
+def _notes_entry(state: FrameState) -> dict[str, Any]:
     return {
         "not_visible": list(state.not_visible),
         "note": state.note,
@@ -248,7 +283,7 @@ def _remarks(state: FrameState) -> dict[str, Any]:
 
 
 def _is_text(name: str) -> bool:
-    """Whether a file name is text, which it must be to go into JSON and an address."""
+    """Whether a file name is valid text, as JSON and addresses require."""
     try:
         name.encode()
     except UnicodeEncodeError:

@@ -1,6 +1,6 @@
-"""What may be wrong with labels: found by comparing them with the pictures and with each other.
+"""Checks of labels: likely mistakes, found by comparing labels with their images and with each other.
 
-Only looks; nothing is mended. The form of the files is checked where they are read (`store.py`).
+Nothing is corrected. The format of the files is checked where they are read (`store.py`).
 """
 
 from __future__ import annotations
@@ -20,32 +20,32 @@ import numpy as np
 from ..tracker.errors import LabelError
 from ..tracker.project import Project
 from ..tracker.types import FloatArray, LabelledFrame
-from .label_shape import LEAST_FRAMES, LabelShape, fit_shape
-from .side_data import read_notes
+from .notes_file import read_notes
+from .principal_curve import MIN_FRAMES, PrincipalCurve, fit_principal_curve
 from .store import LabelStore
 
 # Two points of one frame closer than this are one click counted twice.
-_ONE_PLACE_PX = 1.0
-# A label is suspect when it lies so many standard deviations, and so many px, from where the others put it.
-_FAR_SD = 7.0
-_FAR_PX = 6.0
-# Points that spread so far about the curve, over the body's length, are of something that does not bend in one way.
-_LOOSE = 0.05
-# Another order of a frame's points is the right one when it lies so much nearer to the others.
-_NEARER = 3.0
-# Videos in which the first two points lie within this part of the body's length of each other are seen alike.
+_COINCIDENT_PX = 1.0
+# An outlier is farther than both from the curve through the other labels: in standard deviations, and in px.
+_OUTLIER_SD = 7.0
+_OUTLIER_PX = 6.0
+# Largest standard deviation about the curve, as a part of the body's length: above, the labels follow no single motion.
+_MAX_RELATIVE_SD = 0.05
+# Points are swapped when another order is this many times nearer to the curve.
+_SWAP_RATIO = 3.0
+# Videos share a view when their fixed ends are no farther apart than this part of the body's length.
 _SAME_VIEW = 0.06
-# Of more points only the exchange of two and the reverse order are tried.
-_ALL_ORDERS = 5
+# Up to so many points all orders are tried; of more, exchanges of two and the reverse order.
+_MAX_PERMUTED = 5
 
 
 class Problem(StrEnum):
-    """What a finding is about."""
+    """Kind of a finding."""
 
     MISSING = "missing point"
     OUTSIDE = "point outside"
-    ONE_PLACE = "points at one place"
-    SAME_PICTURE = "same picture"
+    COINCIDENT = "coincident points"
+    DUPLICATE = "duplicate image"
     SWAPPED = "swapped points"
     SEGMENT = "segment length"
     OUTLIER = "outlier"
@@ -53,15 +53,20 @@ class Problem(StrEnum):
 
 @dataclass(frozen=True)
 class Finding:
-    """Something to look at.
+    """A likely mistake.
 
     Attributes
     ----------
-    video, image : which frame
-    image_path : its picture
-    problem : what it is about
-    message : what is odd, for people
-    keypoints : the points concerned
+    video, image : str
+        Video stem and image name of the frame.
+    image_path : Path
+        Its image file.
+    problem : Problem
+        Kind of mistake.
+    message : str
+        Description to show.
+    keypoints : tuple of str
+        Keypoints concerned.
     """
 
     video: str
@@ -73,19 +78,22 @@ class Finding:
 
     @property
     def link(self) -> str:
-        """What opens the frame when put behind the label page's address."""
+        """Fragment that opens the frame when appended to the labelling page's address."""
         return f"#{quote(self.video)}/{quote(self.image)}"
 
 
 @dataclass(frozen=True)
 class CheckReport:
-    """What came of checking labels.
+    """Outcome of checking labels.
 
     Attributes
     ----------
-    labelled : number of labelled frames
-    findings : in the order of the frames
-    notes : what could not be checked, a line each
+    labelled : int
+        Number of labelled frames.
+    findings : list of Finding
+        Likely mistakes, in the order of the frames.
+    notes : list of str
+        What could not be checked, one line each.
     """
 
     labelled: int
@@ -96,51 +104,61 @@ class CheckReport:
 def check_labels(project: Project) -> CheckReport:
     """Look for mistakes in a project's labels.
 
-    A point is compared with where the other labels of its actuator put it, by a robust fit (see `label_shape`), once
-    there are `LEAST_FRAMES` of them that were filmed from one place. Points marked as not visible are not missed,
-    frames that are skipped are passed over.
+    Points are compared with a curve fitted to all labels of their actuator (see `fit_principal_curve`), where there
+    are at least `MIN_FRAMES` frames of one view. Keypoints marked as not visible are not reported as missing. Skipped
+    frames are left out.
+
+    Parameters
+    ----------
+    project : Project
+        The project.
+
+    Returns
+    -------
+    CheckReport
+        Likely mistakes, and what could not be checked.
 
     Raises
     ------
     LabelError
-        Labels that cannot be read, or none at all.
+        The labels cannot be read, or there are none.
     """
     store = LabelStore.of(project)
-    remarks = {video: read_notes(store.labels_dir / video) for video in store.videos()}
+    entries = {video: read_notes(store.labels_dir / video) for video in store.videos()}
     frames = [
         frame
         for frame in store.read()
-        if not remarks[frame.video].get(frame.image_path.name, {}).get("skipped")
+        if not entries[frame.video].get(frame.image_path.name, {}).get("skipped")
     ]
     if not frames:
         raise LabelError(f"{project.root}: expected labelled frames to check, got none")
     names = project.keypoints
-    pictures = {frame.image_path: _read_picture(frame.image_path) for frame in frames}
+    contents = {frame.image_path: _read_image(frame.image_path) for frame in frames}
     findings: list[Finding] = []
     for frame in frames:
-        unseen = remarks[frame.video].get(frame.image_path.name, {}).get("not_visible", [])
-        findings += _in_itself(frame, pictures[frame.image_path], names, unseen)
-    findings += _same_pictures(frames, pictures)
+        unseen = entries[frame.video].get(frame.image_path.name, {}).get("not_visible", [])
+        findings += _check_frame(frame, contents[frame.image_path], names, unseen)
+    findings += _duplicate_images(frames, contents)
     notes = []
     for actuator, group in _views(frames):
         complete = sum(bool(np.isfinite(frame.xy).all()) for frame in group)
-        if complete < LEAST_FRAMES:
+        if complete < MIN_FRAMES:
             videos = ", ".join(sorted({frame.video for frame in group}))
             notes.append(
-                f"{actuator} ({videos}): {complete} frames with all points, fewer than {LEAST_FRAMES}: "
+                f"{actuator} ({videos}): {complete} frames with all points, fewer than {MIN_FRAMES}: "
                 "not compared with each other"
             )
             continue
         points = np.stack([frame.xy for frame in group])
-        shape = fit_shape(points)
+        curve = fit_principal_curve(points)
         body_px = float(np.nanmedian(np.linalg.norm(np.diff(points, axis=1), axis=2).sum(axis=1)))
-        if np.median(shape.sd_px) > _LOOSE * body_px:
+        if np.median(curve.sd_px) > _MAX_RELATIVE_SD * body_px:
             notes.append(f"{actuator}: the labels do not follow one motion: not compared with each other")
             continue
         for frame in group:
-            findings += _against(shape, frame, names)
-    place = {frame.image_path: number for number, frame in enumerate(frames)}
-    findings.sort(key=lambda finding: place[finding.image_path])
+            findings += _check_against_curve(curve, frame, names)
+    order = {frame.image_path: number for number, frame in enumerate(frames)}
+    findings.sort(key=lambda finding: order[finding.image_path])
     return CheckReport(len(frames), findings, notes)
 
 
@@ -149,50 +167,54 @@ def _finding(frame: LabelledFrame, problem: Problem, message: str, keypoints: Se
 
 
 @dataclass(frozen=True)
-class _Picture:
+class _ImageContent:
     size_wh: tuple[int, int]
-    digest: bytes  # of its pixels, whatever format they are kept in
+    digest: bytes  # SHA-256 of the decoded pixels, independent of the file format
 
 
-def _read_picture(path: Path) -> _Picture:
+def _read_image(path: Path) -> _ImageContent:
     image = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_COLOR)
     if image is None:
-        raise LabelError(f"{path}: expected a picture, got a file that does not open as one")
-    return _Picture((image.shape[1], image.shape[0]), hashlib.sha256(image.tobytes()).digest())
+        raise LabelError(f"{path}: expected an image, got a file that does not open as one")
+    return _ImageContent((image.shape[1], image.shape[0]), hashlib.sha256(image.tobytes()).digest())
 
 
-def _in_itself(
-    frame: LabelledFrame, picture: _Picture, names: Sequence[str], unseen: Sequence[str]
+def _check_frame(
+    frame: LabelledFrame, content: _ImageContent, names: Sequence[str], unseen: Sequence[str]
 ) -> Iterator[Finding]:
-    """What a frame's own picture and points tell."""
+    """Check a frame's points by themselves: missing, outside the image, or coincident."""
     placed = np.asarray(np.isfinite(frame.xy).all(axis=1))
-    missing = [name for name, there in zip(names, placed, strict=True) if not there and name not in unseen]
+    missing = [name for name, done in zip(names, placed, strict=True) if not done and name not in unseen]
     if missing:
         yield _finding(frame, Problem.MISSING, f"{', '.join(missing)} not labelled", missing)
-    width, height = picture.size_wh
+    width, height = content.size_wh
     for name, (x, y) in zip(names, frame.xy, strict=True):
         if x < -0.5 or y < -0.5 or x > width - 0.5 or y > height - 0.5:
-            message = f"{name} at ({x:.1f}, {y:.1f}) lies outside the picture of {width} x {height} px"
+            message = f"{name} at ({x:.1f}, {y:.1f}) lies outside the image of {width} x {height} px"
             yield _finding(frame, Problem.OUTSIDE, message, [name])
     for first, second in combinations(np.flatnonzero(placed).tolist(), 2):
         away = float(np.linalg.norm(frame.xy[first] - frame.xy[second]))
-        if away < _ONE_PLACE_PX:
+        if away < _COINCIDENT_PX:
             pair = names[first], names[second]
-            yield _finding(frame, Problem.ONE_PLACE, f"{pair[0]} and {pair[1]} are {away:.1f} px apart", pair)
+            yield _finding(
+                frame, Problem.COINCIDENT, f"{pair[0]} and {pair[1]} are {away:.1f} px apart", pair
+            )
 
 
-def _same_pictures(frames: Sequence[LabelledFrame], pictures: Mapping[Path, _Picture]) -> Iterator[Finding]:
-    """Frames whose picture has been labelled before, under another name."""
+def _duplicate_images(
+    frames: Sequence[LabelledFrame], contents: Mapping[Path, _ImageContent]
+) -> Iterator[Finding]:
+    """Find frames whose image is labelled under another name, too."""
     first: dict[bytes, LabelledFrame] = {}
     for frame in frames:
-        other = first.setdefault(pictures[frame.image_path].digest, frame)
+        other = first.setdefault(contents[frame.image_path].digest, frame)
         if other is not frame:
-            message = f"the same picture as {other.video}/{other.image_path.name}, which is labelled too"
-            yield _finding(frame, Problem.SAME_PICTURE, message)
+            message = f"the same image as {other.video}/{other.image_path.name}, which is labelled, too"
+            yield _finding(frame, Problem.DUPLICATE, message)
 
 
 def _views(frames: Sequence[LabelledFrame]) -> Iterator[tuple[str, list[LabelledFrame]]]:
-    """Frames of one actuator filmed from one place, by where its fixed end lies; with the actuator's name."""
+    """Group frames by actuator and view, which is given by the position of the fixed end; (actuator, frames)."""
     videos: dict[tuple[str, str], list[LabelledFrame]] = defaultdict(list)
     for frame in frames:
         videos[frame.actuator, frame.video].append(frame)
@@ -202,8 +224,8 @@ def _views(frames: Sequence[LabelledFrame]) -> Iterator[tuple[str, list[Labelled
         with np.errstate(invalid="ignore"):
             base = _median(points[:, :2].mean(axis=1))
             body = _median(np.linalg.norm(np.diff(points, axis=1), axis=2).sum(axis=1))
-        for name, place, group in groups:
-            if name == actuator and np.linalg.norm(place - base) <= _SAME_VIEW * body:
+        for name, other_base, group in groups:
+            if name == actuator and np.linalg.norm(other_base - base) <= _SAME_VIEW * body:
                 group += members
                 break
         else:
@@ -213,46 +235,48 @@ def _views(frames: Sequence[LabelledFrame]) -> Iterator[tuple[str, list[Labelled
 
 
 def _median(values: FloatArray) -> FloatArray:
-    """Median over the first axis of what is known, NaN where nothing is."""
+    """Return the median over the first axis without NaN rows; NaN where there is none."""
     known = values[np.isfinite(values).all(axis=tuple(range(1, values.ndim)))]
     return np.asarray(np.median(known, axis=0) if len(known) else np.full(values.shape[1:], np.nan))
 
 
-def _against(shape: LabelShape, frame: LabelledFrame, names: Sequence[str]) -> Iterator[Finding]:
-    """What comparing a frame with the curve through all labels tells."""
-    far = _far_points(shape, frame.xy)
+def _check_against_curve(
+    curve: PrincipalCurve, frame: LabelledFrame, names: Sequence[str]
+) -> Iterator[Finding]:
+    """Check a frame's points against the curve through all labels: swapped, outliers, segment lengths."""
+    far = _outliers(curve, frame.xy)
     if far.any():
-        order = _better_order(shape, frame.xy)
+        order = _better_order(curve, frame.xy)
         if order is not None:
             yield _swapped(frame, names, order)
             return
-    expected = shape.curve[shape.best(frame.xy)]
-    told = set()
+    expected = curve.points[curve.best(frame.xy)]
+    reported = set()
     for point in np.flatnonzero(far).tolist():
         away = float(np.linalg.norm(frame.xy[point] - expected[point]))
         message = f"{names[point]} lies {away:.1f} px from where the other labels put it"
-        jumps = [s for s in _jumps(shape, frame.xy, expected) if point in s]
-        told.update(jumps)
+        jumps = [s for s in _jumps(curve, frame.xy, expected) if point in s]
+        reported.update(jumps)
         for start, end in jumps[:1]:
             message += f"; {_length(frame.xy, expected, start, end, names)}"
         yield _finding(frame, Problem.SEGMENT if jumps else Problem.OUTLIER, message, [names[point]])
-    for start, end in _jumps(shape, frame.xy, expected):
-        if (start, end) not in told:
+    for start, end in _jumps(curve, frame.xy, expected):
+        if (start, end) not in reported:
             message = _length(frame.xy, expected, start, end, names)
             yield _finding(frame, Problem.SEGMENT, message, [names[start], names[end]])
 
 
-def _far_points(shape: LabelShape, xy: FloatArray) -> np.ndarray:
-    """(K,) bool, the points that are not where the curve has them."""
-    away = np.linalg.norm(xy - shape.curve[shape.best(xy)], axis=1)
+def _outliers(curve: PrincipalCurve, xy: FloatArray) -> np.ndarray:
+    """Return the outliers, (K,) bool."""
+    away = np.linalg.norm(xy - curve.points[curve.best(xy)], axis=1)
     with np.errstate(invalid="ignore"):
-        return np.asarray((shape.deviations(xy) > _FAR_SD) & (away > _FAR_PX))
+        return np.asarray((curve.deviations(xy) > _OUTLIER_SD) & (away > _OUTLIER_PX))
 
 
-def _jumps(shape: LabelShape, xy: FloatArray, expected: FloatArray) -> list[tuple[int, int]]:
-    """Neighbouring points whose distance is not that of the curve."""
+def _jumps(curve: PrincipalCurve, xy: FloatArray, expected: FloatArray) -> list[tuple[int, int]]:
+    """Return pairs of neighbouring points whose distance differs from the curve's."""
     lengths, usual = (np.linalg.norm(np.diff(points, axis=0), axis=1) for points in (xy, expected))
-    limits = np.maximum(_FAR_SD * np.hypot(shape.sd_px[:-1], shape.sd_px[1:]), _FAR_PX)
+    limits = np.maximum(_OUTLIER_SD * np.hypot(curve.sd_px[:-1], curve.sd_px[1:]), _OUTLIER_PX)
     with np.errstate(invalid="ignore"):
         return [(int(i), int(i) + 1) for i in np.flatnonzero(np.abs(lengths - usual) > limits)]
 
@@ -262,10 +286,10 @@ def _length(xy: FloatArray, expected: FloatArray, start: int, end: int, names: S
     return f"{names[start]} to {names[end]} is {found:.1f} px long, in the other labels {usual:.1f}"
 
 
-def _better_order(shape: LabelShape, xy: FloatArray) -> tuple[int, ...] | None:
-    """The order in which the points fit the other labels, when this one does not and one does."""
+def _better_order(curve: PrincipalCurve, xy: FloatArray) -> tuple[int, ...] | None:
+    """Return the order in which the points fit the curve, None where no other order is much better."""
     k = len(xy)
-    if k <= _ALL_ORDERS:
+    if k <= _MAX_PERMUTED:
         orders = list(permutations(range(k)))
     else:
         orders = [tuple(reversed(range(k)))]
@@ -276,21 +300,21 @@ def _better_order(shape: LabelShape, xy: FloatArray) -> tuple[int, ...] | None:
 
     def away(order: Sequence[int]) -> float:
         points = xy[list(order)]
-        return float(np.nansum(np.linalg.norm(points - shape.curve[shape.best(points)], axis=1)))
+        return float(np.nansum(np.linalg.norm(points - curve.points[curve.best(points)], axis=1)))
 
     best = min(orders, key=away)
-    return best if away(best) * _NEARER < away(range(k)) else None
+    return best if away(best) * _SWAP_RATIO < away(range(k)) else None
 
 
 def _swapped(frame: LabelledFrame, names: Sequence[str], order: Sequence[int]) -> Finding:
-    moved = [place for place, index in enumerate(order) if place != index]
-    concerned = [names[place] for place in moved]
+    moved = [position for position, index in enumerate(order) if position != index]
+    concerned = [names[position] for position in moved]
     if len(moved) == 2:
         message = f"{concerned[0]} and {concerned[1]} seem to be swapped"
     elif list(order) == list(reversed(range(len(order)))):
         message = f"base and tip seem to be swapped: the points run from {names[-1]} to {names[0]}"
     else:
         message = f"seem to be swapped: what is {', '.join(concerned)} looks like " + ", ".join(
-            names[list(order).index(place)] for place in moved
+            names[list(order).index(position)] for position in moved
         )
     return _finding(frame, Problem.SWAPPED, message, concerned)

@@ -1,8 +1,8 @@
-"""Edits: each is checked against what is on disk, written there at once, and kept in the journal to be undone.
+"""Edits: each is checked against the state on disk, written at once, and recorded in the journal so it can be undone.
 
-Under the project's lock, in this order: the journal's line (fsync), the label file and the notes (temporary file,
-fsync, rename), the journal's word that it is done. A server that is killed in between leaves the line without the
-word; whoever takes the lock next brings the labels into the state that the line says.
+The order, under the project's lock: the journal's entry (fsync), the label file and the notes (temporary file, fsync,
+rename), the journal's record that the entry is done. A server that is killed in between leaves an entry that is not
+done. The next holder of the lock then writes the state that the entry gives.
 """
 
 from __future__ import annotations
@@ -18,18 +18,20 @@ from .journal import Deed, Entry, Journal
 from .label_table import Point
 from .private_folder import PrivateFolder
 
-# A thousandth of a pixel: finer than anyone points, coarse enough to be read.
+# A thousandth of a px: finer than any labelling, short enough to read.
 _DECIMALS = 3
 
 
 @dataclass(frozen=True)
 class Change:
-    """What a page asks for. None leaves a thing as it is.
+    """The change of a frame that a page asks for. None leaves a field as it is.
 
     Attributes
     ----------
-    points : keypoint -> position px, or None to take it away; those not named stay
-    not_visible : all that are not visible; their points are taken away
+    points : mapping of str to Point or None
+        Keypoint -> (x, y) px, None to remove the point. Points that are not named stay.
+    not_visible : tuple of str or None
+        All that are not visible; their points are taken away.
     """
 
     points: Mapping[str, Point | None]
@@ -39,7 +41,18 @@ class Change:
     skipped: bool | None = None
 
     def applied_to(self, state: FrameState) -> FrameState:
-        """The state that is asked for. New positions are rounded; a point that stays keeps every digit."""
+        """Return the changed state.
+
+        Parameters
+        ----------
+        state : FrameState
+            The state to change.
+
+        Returns
+        -------
+        FrameState
+            The new state. New positions are rounded; a point that stays keeps every digit.
+        """
         points = dict(state.points)
         for name, point in self.points.items():
             if point is None:
@@ -62,13 +75,16 @@ class Change:
 
 @dataclass(frozen=True)
 class Edited:
-    """How an edit, an undo or a redo ended.
+    """Outcome of an edit, an undo or a redo.
 
     Attributes
     ----------
-    video, image : the frame
-    conflict : someone else had changed it; nothing was done
-    changed : the frame on disk is another now than before
+    video, image : str
+        The frame.
+    conflict : bool
+        Someone else had changed it; nothing was done.
+    changed : bool
+        The frame on disk is another now than before.
     """
 
     video: str
@@ -78,9 +94,16 @@ class Edited:
 
 
 class Editor:
-    """Changes frames, one change at a time, with a memory.
+    """Changes frames, one change at a time, with undo and redo.
 
     Any number of editors, in any number of processes, can work on one project.
+
+    Parameters
+    ----------
+    annotations : Annotations
+        The project's frames.
+    private : PrivateFolder
+        Folder of the lock and the journal.
     """
 
     def __init__(self, annotations: Annotations, private: PrivateFolder) -> None:
@@ -88,25 +111,39 @@ class Editor:
         self._private = private
         self._journal = Journal(private.path / "journal.jsonl")
         with self._ready():
-            pass  # what a killed server left undone
+            pass  # finishes an edit that a killed server has left
 
     def edit(
         self, video: str, image: str, change: Change, *, base_revision: int, edit_id: str, client_id: str
     ) -> Edited:
-        """Change a frame, if it still is what the page has seen.
+        """Change a frame, if its state is still the one that the page has seen.
 
         Parameters
         ----------
-        base_revision : of the state that the page has seen
-        edit_id : the same one again does nothing again
-        client_id : whose undo history it goes into
+        video : str
+            Stem of the video.
+        image : str
+            File name of the image.
+        change : Change
+            What to change.
+        base_revision : int
+            Revision of the state that the page has seen.
+        edit_id : str
+            Unique id of this edit; the same one again does nothing again.
+        client_id : str
+            Undo history that the edit goes into.
+
+        Returns
+        -------
+        Edited
+            What became of it.
 
         Raises
         ------
         KeyError
             There is no such frame.
         LabelError, OSError
-            The files cannot be read or written. The edit may still be carried out by the next call.
+            The files cannot be read or written. The next call may still carry out the edit.
         """
         with self._ready():
             before = self._state(video, image)
@@ -123,20 +160,59 @@ class Editor:
         return Edited(video, image, changed=True)
 
     def undo(self, *, edit_id: str, client_id: str) -> Edited | None:
-        """Take back the client's latest edit; None when there is none. Errors as in `edit`.
+        """Undo the client's latest edit. Raises what `edit` raises.
 
-        One whose frame someone else has changed since is passed over, with a conflict.
+        An edit whose frame someone else has changed since is skipped, with a conflict.
+
+        Parameters
+        ----------
+        edit_id : str
+            Unique id of this undo; the same one again does nothing again.
+        client_id : str
+            Undo history.
+
+        Returns
+        -------
+        Edited or None
+            None when there is no edit to undo.
         """
         return self._step(Deed.UNDO, edit_id, client_id)
 
     def redo(self, *, edit_id: str, client_id: str) -> Edited | None:
-        """Do again what the client's latest undo took back; otherwise as `undo`."""
+        """Redo what the client's latest undo has undone. Raises what `edit` raises.
+
+        Parameters
+        ----------
+        edit_id : str
+            Unique id of this redo; the same one again does nothing again.
+        client_id : str
+            Undo history.
+
+        Returns
+        -------
+        Edited or None
+            None when there is nothing to redo.
+        """
         return self._step(Deed.REDO, edit_id, client_id)
 
     def repeat(
         self, video: str, image: str, repeat: Mapping[str, Any], *, edit_id: str, client_id: str
     ) -> None:
-        """Keep a repeat label of a frame. Errors as in `edit`."""
+        """Store a repeat label of a frame. Raises what `edit` raises.
+
+        Parameters
+        ----------
+        video : str
+            Stem of the video.
+        image : str
+            File name of the image.
+        repeat : mapping of str to Any
+            The repeat label as it is stored in the notes.
+        edit_id : str
+            Unique id; the same one again does nothing again.
+        client_id : str
+            The page.
+        """
         with self._ready():
             state = self._state(video, image)
             if state is None:
@@ -146,13 +222,13 @@ class Editor:
                     Entry(Deed.REPEAT, edit_id, client_id, video, image, state, state, repeat=repeat)
                 )
 
-    def lately_edited(self, count: int) -> set[tuple[str, str]]:
-        """The (video, image) that were edited last, at most `count`."""
+    def recently_edited(self, count: int) -> set[tuple[str, str]]:
+        """Return the (video, image) of the frames that were edited last, at most `count`."""
         with self._ready():
             return set(list(self._journal.latest)[-count:])
 
     def was_done(self, edit_id: str) -> bool:
-        """Whether an edit of that name has been carried out."""
+        """Whether the edit of this id has been carried out."""
         with self._ready():
             return edit_id in self._journal.outcomes
 
@@ -172,14 +248,14 @@ class Editor:
                         Entry(deed, edit_id, client_id, of.video, of.image, before, after, of.edit_id)
                     )
                     return Edited(of.video, of.image, changed=True)
-                self._journal.pass_over(deed, edit_id, client_id, of)
+                self._journal.skip(deed, edit_id, client_id, of)
                 if state is not None:
                     return Edited(of.video, of.image, conflict=True)
-                # Its picture is gone: nothing to show, so on to the one before.
+                # Its image is gone, so there is nothing to show: continue with the edit before.
 
     @contextmanager
     def _ready(self) -> Iterator[None]:
-        """Hold the lock, with nothing left undone."""
+        """Hold the lock, with all earlier edits finished."""
         with self._private.lock():
             self._journal.catch_up()
             pending = self._journal.pending
@@ -188,7 +264,7 @@ class Editor:
             yield
 
     def _recover(self, entry: Entry) -> None:
-        """Bring the labels into the state that an unfinished entry says, unless someone else has changed them."""
+        """Write the state that an unfinished entry gives, unless someone else has changed the frame."""
         state = self._state(entry.video, entry.image)
         if state is not None and _lies_between(state, entry):
             self._apply(entry, state)
@@ -213,9 +289,9 @@ class Editor:
 
 
 def _lies_between(state: FrameState, entry: Entry) -> bool:
-    """Whether a state has only what an entry's two states have: it was killed before, between or after its writes."""
+    """Whether a state mixes an entry's two states: the server was killed before, between or after its writes."""
     ends = (entry.before, entry.after)
-    # What is not visible depends on both files: a point in one overrules a word in the other.
+    # `not_visible` depends on both files: a point in the label file overrules an entry of the notes.
     named = {name for end in ends for name in end.not_visible}
     return (
         any(state.points == end.points for end in ends)

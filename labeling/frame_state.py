@@ -1,6 +1,6 @@
-"""What people have said about one frame: its points, what is not visible, a note, flags; and its revision.
+"""The state of one frame as labelled by people: points, keypoints that are not visible, note, flags, and revision.
 
-Where that lies on disk is in `annotations.py`; how it changes in `edits.py`.
+Its files are read and written in `annotations.py`; changes are in `edits.py`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from .label_table import Point
 
 
 class Progress(StrEnum):
-    """How far a frame is."""
+    """Progress of labelling one frame."""
 
     UNLABELLED = "unlabelled"
     PARTIAL = "partial"
@@ -27,15 +27,20 @@ class Progress(StrEnum):
 
 @dataclass(frozen=True)
 class FrameState:
-    """All that is known of a frame from people.
+    """All annotations of one frame.
 
     Attributes
     ----------
-    points : keypoint -> (x, y) px; those that are not placed are left out
-    not_visible : keypoints that cannot be seen in the frame, in the project's order; none of them has a point
-    note : free text
-    flagged : to be looked at again
-    skipped : not to be labelled
+    points : mapping of str to Point
+        Keypoint -> (x, y) px; keypoints that are not placed are left out.
+    not_visible : tuple of str
+        Keypoints that cannot be seen in the frame, in the project's order; none of them has a point.
+    note : str
+        Free text.
+    flagged : bool
+        Whether it is to be looked at again.
+    skipped : bool
+        Whether it is not to be labelled.
     """
 
     points: Mapping[str, Point] = field(default_factory=dict)
@@ -46,16 +51,27 @@ class FrameState:
 
     @cached_property
     def revision(self) -> int:
-        """An integer below 2^52, which JavaScript holds exactly, made from the contents.
+        """Hash of the contents: an integer below 2^52, which JavaScript represents exactly.
 
-        States are equal exactly when their revisions are. Nothing is counted, so it holds across servers,
+        Two states are equal exactly when their revisions are. It is not a counter, so it is valid across servers,
         restarts, and other programs that write the files.
         """
         text = json.dumps(self.to_json(), sort_keys=True)
         return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big") >> 12
 
     def progress(self, keypoints: Sequence[str]) -> Progress:
-        """How far it is, for these keypoints."""
+        """Return the frame's progress.
+
+        Parameters
+        ----------
+        keypoints : sequence of str
+            Keypoints that are to be placed or marked as not visible.
+
+        Returns
+        -------
+        Progress
+            SKIPPED, LABELLED where all keypoints are settled, PARTIAL where some are, else UNLABELLED.
+        """
         settled = sum(name in self.points or name in self.not_visible for name in keypoints)
         if self.skipped:
             return Progress.SKIPPED
@@ -64,7 +80,7 @@ class FrameState:
         return Progress.PARTIAL if settled else Progress.UNLABELLED
 
     def to_json(self) -> dict[str, Any]:
-        """As plain JSON values."""
+        """Return plain JSON values."""
         return {
             "points": {name: [x, y] for name, (x, y) in self.points.items()},
             "not_visible": sorted(self.not_visible),
@@ -75,7 +91,13 @@ class FrameState:
 
     @classmethod
     def from_json(cls, value: Mapping[str, Any]) -> FrameState:
-        """What `to_json` gave; KeyError, TypeError or ValueError for anything else."""
+        """Read what `to_json` has returned.
+
+        Raises
+        ------
+        KeyError, TypeError, ValueError
+            The value is anything else.
+        """
         return cls(
             points_from_json(value["points"]),
             tuple(str(name) for name in value["not_visible"]),
@@ -86,5 +108,5 @@ class FrameState:
 
 
 def points_from_json(value: Mapping[str, Any]) -> dict[str, Point]:
-    """Points {keypoint: [x, y]} as they stand in JSON; those that are null are left out."""
+    """Read points {keypoint: [x, y]} of JSON; points that are null are left out."""
     return {str(name): (float(xy[0]), float(xy[1])) for name, xy in value.items() if xy is not None}

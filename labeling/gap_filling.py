@@ -1,4 +1,4 @@
-"""Where on a line to put further points so that the largest gap becomes as small as it can."""
+"""Filling gaps: where to put further points in an interval so that its largest gap becomes as small as possible."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from typing import NamedTuple
 
 
 class Target(NamedTuple):
-    """A point to be put, and how far it is from its neighbours when all are put."""
+    """A point to add, and its distance from its neighbours when all are added."""
 
     value: float
-    room: float
+    spacing: float
 
 
 @dataclass
 class _Gap:
-    """A stretch of the line without points; an end of the line is open, a point may lie on it."""
+    """An interval without points inside. An end of the whole interval is open: a point may be put on it."""
 
     start: float
     end: float
@@ -26,7 +26,7 @@ class _Gap:
 
     @property
     def step(self) -> float:
-        """Distance between neighbours. What is beyond the last point counts double: nothing is on its other side."""
+        """Distance between neighbours. Beyond the last point it counts double, as it has no second neighbour."""
         length = self.end - self.start
         steps = self.points + 1 - self.open_ends
         if self.points == 0:
@@ -35,13 +35,23 @@ class _Gap:
 
 
 def fill_gaps(low: float, high: float, taken: Sequence[float], count: int) -> list[Target]:
-    """Put `count` further points between `low` and `high` (included), beside those that are there.
+    """Add points between `low` and `high` (included) to those that are there.
 
-    The gap that stays the widest gets the next point, and the points of a gap lie evenly in it.
+    The widest gap gets the next point, and the points of a gap are evenly spaced.
+
+    Parameters
+    ----------
+    low, high : float
+        Ends of the interval.
+    taken : sequence of float
+        Points that are there, in any order.
+    count : int
+        Number of points to add.
 
     Returns
     -------
-    Increasing values.
+    list of Target
+        The new points, by increasing value.
 
     Examples
     --------
@@ -53,7 +63,7 @@ def fill_gaps(low: float, high: float, taken: Sequence[float], count: int) -> li
     edges = [low, *sorted(value for value in taken if low <= value <= high), high]
     last = len(edges) - 2
     gaps = [
-        _Gap(start, end, (place == 0) + (place == last)) for place, (start, end) in enumerate(pairwise(edges))
+        _Gap(start, end, (index == 0) + (index == last)) for index, (start, end) in enumerate(pairwise(edges))
     ]
     for _ in range(count):
         max(gaps, key=lambda gap: gap.step).points += 1
@@ -63,5 +73,5 @@ def fill_gaps(low: float, high: float, taken: Sequence[float], count: int) -> li
             targets.append(Target((gap.start + gap.end) / 2, gap.step))
             continue
         before = 0 if gap is gaps[0] else 1
-        targets += [Target(gap.start + gap.step * (place + before), gap.step) for place in range(gap.points)]
+        targets += [Target(gap.start + gap.step * (index + before), gap.step) for index in range(gap.points)]
     return targets

@@ -1,7 +1,7 @@
-"""The history of all edits: an append-only file of JSON lines, and what can be undone according to it.
+"""The journal of all edits: an append-only file of JSON lines, and the undo histories that follow from it.
 
-Applying an edit to the labels is `edits.py`. A line is on disk before the labels change; a second, short one says
-that they have. A line that was cut short by a crash is passed over.
+Edits are applied in `edits.py`. An entry is on disk before the labels change; a second, short line records that they
+have changed. A line that was truncated by a crash is skipped.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .frame_state import FrameState
 
 
 class Deed(StrEnum):
-    """What an entry did."""
+    """Kind of an entry."""
 
     EDIT = "edit"
     UNDO = "undo"
@@ -34,13 +34,20 @@ class Entry:
 
     Attributes
     ----------
-    deed : what it was
-    edit_id : the page's name for it, unique
-    client_id : whose history it belongs to
-    video, image : the frame
-    before, after : its states
-    of : of an undo or redo, the `edit_id` of the edit meant
-    repeat : of a repeat label, what is to be kept; `before` and `after` then are equal
+    deed : Deed
+        Its kind.
+    edit_id : str
+        Unique id, given by the page.
+    client_id : str
+        Undo history that it belongs to.
+    video, image : str
+        The frame.
+    before, after : FrameState
+        Its states before and after the change.
+    of : str or None
+        For an undo or redo, the `edit_id` of the edit that is undone or redone.
+    repeat : mapping of str to Any or None
+        For a repeat label, what to store; `before` and `after` are then equal.
     """
 
     deed: Deed
@@ -54,7 +61,7 @@ class Entry:
     repeat: Mapping[str, Any] | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """As one line says it."""
+        """Return the contents of the entry's line."""
         return {
             "do": self.deed.value,
             "edit_id": self.edit_id,
@@ -70,7 +77,13 @@ class Entry:
 
     @classmethod
     def from_json(cls, value: Mapping[str, Any]) -> Entry:
-        """What `to_json` gave; KeyError, TypeError or ValueError for anything else."""
+        """Read what `to_json` has returned.
+
+        Raises
+        ------
+        KeyError, TypeError, ValueError
+            The value is anything else.
+        """
         return cls(
             Deed(value["do"]),
             value["edit_id"],
@@ -86,12 +99,14 @@ class Entry:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of an edit_id.
+    """Outcome of an edit.
 
     Attributes
     ----------
-    video, image : the frame
-    conflict : it was an undo or redo that found the frame changed by someone else
+    video, image : str
+        The frame.
+    conflict : bool
+        Whether it was an undo or redo of a frame that someone else had changed.
     """
 
     video: str
@@ -100,13 +115,21 @@ class Outcome:
 
 
 class Journal:
-    """The journal file and what follows from it. Use it under the project's lock only.
+    """The journal file and the undo histories. Use it under the project's lock only.
+
+    Parameters
+    ----------
+    path : Path
+        The journal file; it need not exist yet.
 
     Attributes
     ----------
-    outcomes : edit_id -> what became of it
-    pending : the last entry, if it does not say whether the labels have followed
-    latest : frames in the order of their latest edit, the newest last
+    outcomes : dict of str to Outcome
+        `edit_id` -> its outcome.
+    pending : Entry or None
+        The last entry, while it is not recorded whether the labels have been written.
+    latest : dict of tuple of str to None
+        Frames in the order of their latest edit, the newest last.
     """
 
     def __init__(self, path: Path) -> None:
@@ -123,7 +146,7 @@ class Journal:
         self._redo: dict[str, list[Entry]] = defaultdict(list)
 
     def catch_up(self) -> None:
-        """Read what other servers have added. A journal that was removed is a history that begins anew."""
+        """Read what other servers have appended. If the file was removed, the histories start anew."""
         try:
             file = self._path.open("rb")
         except FileNotFoundError:
@@ -145,30 +168,42 @@ class Journal:
             self._take(line)
 
     def begin(self, entry: Entry) -> None:
-        """Write an entry to disk, to the last byte, before the labels change."""
+        """Append an entry and flush it to disk, before the labels change."""
         self._append(entry.to_json(), durable=True)
 
     def finish(self, entry: Entry) -> None:
-        """Say that the labels have followed an entry."""
+        """Record that the labels of an entry have been written."""
         # Not flushed: if a power failure loses the line, the next start finds the labels as the entry says.
         self._append({"done": entry.edit_id}, durable=False)
 
     def drop(self, entry: Entry) -> None:
-        """Say that the labels have not followed and never will."""
+        """Record that the labels of an entry have not been written and never will be."""
         self._append({"dropped": entry.edit_id}, durable=True)
 
-    def pass_over(self, deed: Deed, edit_id: str, client_id: str, entry: Entry) -> None:
-        """Say that an entry can no longer be undone or redone, as someone else has changed its frame."""
+    def skip(self, deed: Deed, edit_id: str, client_id: str, entry: Entry) -> None:
+        """Record that an entry can no longer be undone or redone, as someone else has changed its frame.
+
+        Parameters
+        ----------
+        deed : Deed
+            UNDO or REDO.
+        edit_id : str
+            Id of the undo or redo.
+        client_id : str
+            Undo history.
+        entry : Entry
+            The entry to skip.
+        """
         self._append(
             {"passed": deed.value, "edit_id": edit_id, "client": client_id, "of": entry.edit_id}, durable=True
         )
 
     def undoable(self, client_id: str) -> Entry | None:
-        """The edit that this client's next undo takes back."""
+        """Return the edit that this client's next undo undoes, None without one."""
         return self._last(self._undo, client_id)
 
     def redoable(self, client_id: str) -> Entry | None:
-        """The edit that this client's next redo does again."""
+        """Return the edit that this client's next redo redoes, None without one."""
         return self._last(self._redo, client_id)
 
     @staticmethod
@@ -184,7 +219,7 @@ class Journal:
         try:
             size = os.fstat(descriptor).st_size
             line = json.dumps(record, separators=(",", ":")).encode() + b"\n"
-            if size > self._offset:  # the rest of a line that a crash cut short
+            if size > self._offset:  # part of a line that a crash has truncated
                 line = b"\n" + line
             written = os.write(descriptor, line)
             if written != len(line):
@@ -215,10 +250,10 @@ class Journal:
             elif self.pending is not None and record.get("dropped") == self.pending.edit_id:
                 self.pending = None
         except (ValueError, KeyError, TypeError, AttributeError, IndexError):
-            return  # cut short, or of a later version
+            return  # truncated, or of a later version
 
     def _settle(self) -> None:
-        """The pending entry has happened: it can be undone, and what was undone before it cannot be redone."""
+        """Accept the pending entry: it can be undone, and what was undone before it cannot be redone."""
         entry, self.pending = self.pending, None
         if entry is None:
             return

@@ -1,11 +1,11 @@
 """DeepLabCut's CollectedData CSV: parsing and formatting of one file's text, cell by cell.
 
-Where such files lie and what they mean for a project is in `store.py`. The csv module reads them, not pandas,
-which loses a first row that is all empty and keeps no cell as it stood.
+Where such files are and what they mean for a project is in `store.py`. They are read with the csv module: pandas loses
+an empty first row and does not keep the cells' text.
 
-The file has three header rows (scorer, bodyparts, coords), then a row for every image. One column names
-the image in older files (`labeled-data/<video>/img005.png`), three do in newer ones (`labeled-data`,
-`<video>`, `img005.png`). An empty cell is a point that is not labelled.
+The file has three header rows (scorer, bodyparts, coords), then a row for every image. One column names the image in
+older files (`labeled-data/<video>/img005.png`), three do in newer ones (`labeled-data`, `<video>`, `img005.png`). An
+empty cell is a point that is not labelled.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _HEADERS = ("scorer", "bodyparts", "coords")
 _EMPTY = frozenset(("", "nan", "na", "n/a", "null", "none", "<na>"))
 
 Point = tuple[float, float]
-Cell = tuple[str, str]  # (body part, coordinate): x, y, or something that only another program knows
+Cell = tuple[str, str]  # (body part, coordinate): x, y, or a column of another program
 
 
 @dataclass(frozen=True)
@@ -32,10 +32,14 @@ class LabelRow:
 
     Attributes
     ----------
-    image : file name of the image
-    cells : (body part, coordinate) -> text as it stands in the file; empty cells are left out
-    video : name of the video's folder according to the row, None where it names none
-    where : file and line, for messages
+    image : str
+        File name of the image.
+    cells : mapping of Cell to str
+        (body part, coordinate) -> text as it is in the file; empty cells are left out.
+    video : str or None
+        Name of the video's folder according to the row, None where it names none.
+    where : str
+        File and line, for messages.
     """
 
     image: str
@@ -44,12 +48,22 @@ class LabelRow:
     where: str = ""
 
     def point(self, bodypart: str) -> Point | None:
-        """Position in px, None where it is not labelled.
+        """Return the position of a body part.
+
+        Parameters
+        ----------
+        bodypart : str
+            Its name.
+
+        Returns
+        -------
+        Point or None
+            (x, y) px, None where it is not labelled.
 
         Raises
         ------
         LabelError
-            A cell is no finite number, or one of x and y is missing.
+            A cell is not a finite number, or one of x and y is missing.
         """
         x, y = (self._number(bodypart, coord) for coord in ("x", "y"))
         if x is None and y is None:
@@ -76,7 +90,18 @@ class LabelRow:
         return value
 
     def with_points(self, points: Mapping[str, Point | None]) -> LabelRow:
-        """The row with some points set, or taken away (None). Cells that keep their value keep their text."""
+        """Return the row with some points changed. Cells that keep their value keep their text.
+
+        Parameters
+        ----------
+        points : mapping of str to Point or None
+            Body part -> (x, y) px, None to remove it.
+
+        Returns
+        -------
+        LabelRow
+            The changed row.
+        """
         cells = dict(self.cells)
         for bodypart, point in points.items():
             for coord, value in zip(("x", "y"), point or (None, None), strict=True):
@@ -90,27 +115,42 @@ class LabelRow:
 
 @dataclass(frozen=True)
 class LabelTable:
-    """The rows of one or more label files, and their body parts in order of appearance."""
+    """The rows of one or more label files.
+
+    Attributes
+    ----------
+    bodyparts : tuple of str
+        Names of the body parts, in order of appearance.
+    rows : tuple of LabelRow
+        The rows.
+    """
 
     bodyparts: tuple[str, ...] = ()
     rows: tuple[LabelRow, ...] = field(default=())
 
 
 def read_label_table(path: Path, scorer: str | None = None) -> LabelTable:
-    """Read a CollectedData CSV in either form.
+    """Read a CollectedData CSV in the older or the newer form.
 
     Parameters
     ----------
-    path : the file
-    scorer : whose columns to prefer where several people's stand side by side
+    path : Path
+        The file.
+    scorer : str or None, optional
+        Scorer whose columns are preferred where a file has several scorers.
+
+    Returns
+    -------
+    LabelTable
+        Its rows and body parts.
 
     Raises
     ------
     LabelError
-        Not such a file; a row that is too short or too long; two scorers who disagree about a point.
+        The file has another format, a row is too short or too long, or two scorers disagree about a point.
     """
     try:
-        # A byte order mark is what spreadsheets leave.
+        # utf-8-sig: spreadsheets write a byte order mark.
         lines = list(csv.reader(io.StringIO(path.read_bytes().decode("utf-8-sig"), newline=""), strict=True))
     except (UnicodeDecodeError, csv.Error) as error:
         raise LabelError(f"{path}: expected a CSV file in UTF-8, got {error}") from error
@@ -147,9 +187,25 @@ def read_label_table(path: Path, scorer: str | None = None) -> LabelTable:
 
 
 def format_label_table(rows: Iterable[LabelRow], bodyparts: Iterable[str], video: str, scorer: str) -> str:
-    """Text of a CollectedData CSV in the newer form, which has no path separator to get wrong.
+    """Format a CollectedData CSV in the newer form, which needs no path separator.
 
     DeepLabCut 3 writes this form and reads both.
+
+    Parameters
+    ----------
+    rows : iterable of LabelRow
+        The rows, in the order of the file.
+    bodyparts : iterable of str
+        Body parts, in the order of the columns.
+    video : str
+        Name of the video's folder.
+    scorer : str
+        Name of the scorer.
+
+    Returns
+    -------
+    str
+        The file's text.
     """
     rows = list(rows)
     extra = dict.fromkeys(cell for row in rows for cell in row.cells if cell[1] not in ("x", "y"))
@@ -174,7 +230,7 @@ def format_label_table(rows: Iterable[LabelRow], bodyparts: Iterable[str], video
 
 
 def same_number(first: str, second: str) -> bool:
-    """Whether two cells say the same: 12.50 and 12.5 do."""
+    """Whether two cells hold the same text or number: 12.50 and 12.5 do."""
     try:
         return first == second or float(first) == float(second)
     except ValueError:
@@ -184,7 +240,7 @@ def same_number(first: str, second: str) -> bool:
 def _cells(
     columns: list[tuple[str, ...]], texts: list[str], scorer: str | None, where: str
 ) -> dict[Cell, str]:
-    """Cells of a row that are not empty. The preferred scorer's come first; others may only fill or agree."""
+    """Return the cells of a row that are not empty. The preferred scorer's count; others may only add or agree."""
     cells: dict[Cell, str] = {}
     pairs = sorted(zip(columns, texts, strict=True), key=lambda pair: pair[0][0] != scorer)
     owner: dict[Cell, str] = {}

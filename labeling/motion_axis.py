@@ -1,6 +1,6 @@
-"""Along the motion: one number for each look, by which the looks of one moving thing can be put in order.
+"""The axis of motion: one coordinate for each thumbnail, which orders the thumbnails of one moving body.
 
-Knows looks only, no video; how they are gathered is in `pose_cells.py`.
+Only thumbnails are known here, no video; how they are collected is in `stream_clustering.py`.
 """
 
 from __future__ import annotations
@@ -12,40 +12,46 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree, shortest_path
 
 from ..tracker.types import FloatArray
-from .pose_cells import rms_distances
+from .stream_clustering import rms_distances
 
-# Neighbours of a look in the graph of looks: enough to bridge noise, few enough to follow a curved motion.
+# Least and most neighbours in the graph of thumbnails: enough to bridge noise, few enough to follow a curved motion.
 _NEIGHBOURS = (2, 6)
-_LOOKS_A_NEIGHBOUR = 40
-# A camera that was moved, or another camera: nothing between two sets of looks, each with its share of frames.
+_THUMBNAILS_PER_NEIGHBOUR = 40
+# Two views (the camera was moved, or is another one): sets of thumbnails with nothing in between. Each has at least
+# this share of the frames and this number of thumbnails; the step between them is at least this part of the largest
+# distance within either.
 _VIEW_SHARE = 0.05
 _VIEW_JUMP = 0.8
-_VIEW_LOOKS = 12
-# A standard deviation of looks that rounding alone gives.
-_ROUNDING = 0.3
-# A pixel moves when it spreads so many times wider than noise spreads.
-_MOVES = 4.0
-# From the 5th to the 95th percentile a Gaussian spreads over so many standard deviations.
-_WIDTH = 3.3
-# Fewer pixels than this part of them are specks of noise and compression.
-_SPECKS = 1 / 250
-# Looks closer than this many times the noise crowd: they are one pose many times.
-_CROWD = 2.5
+_VIEW_THUMBNAILS = 12
+# Standard deviation of a pixel that rounding alone causes, grey levels.
+_ROUNDING_SD = 0.3
+# A pixel moves when its spread is at least this multiple of the noise's.
+_MOVING_RATIO = 4.0
+# Width of a Gaussian from the 5th to the 95th percentile, in standard deviations.
+_PERCENTILE_WIDTH = 3.3
+# A smaller share of moving pixels is noise and compression.
+_MIN_MOVING_SHARE = 1 / 250
+# Thumbnails closer than this multiple of the noise show the same pose.
+_SAME_POSE = 2.5
 
-# Added to distances that become edges: a sparse matrix takes 0 for no edge.
-_NO_EDGE = 1e-6
+# Added to distances that become edges, as a sparse matrix takes 0 for no edge.
+_EDGE_OFFSET = 1e-6
 
 
 @dataclass(frozen=True)
-class Movement:
-    """What moves in a set of looks, and what each look weighs in it.
+class Motion:
+    """The moving pixels of a set of thumbnails, and the thumbnails' weights.
 
     Attributes
     ----------
-    noise : root mean square difference of two looks of one pose, grey levels
-    weight : (n,) of each look, adding up to 1
-    moving : (P,) bool, the pixels that move; all where nothing does
-    moves : whether anything does
+    noise : float
+        Root mean square difference of two thumbnails of one pose, grey levels.
+    weight : ndarray of float
+        (n,) weight of each thumbnail, with sum 1.
+    moving : ndarray
+        (P,) bool, the pixels that move; all where none does.
+    moves : bool
+        Whether any pixel moves.
     """
 
     noise: float
@@ -54,40 +60,61 @@ class Movement:
     moves: bool
 
 
-def find_movement(looks: FloatArray, counts: FloatArray) -> Movement:
-    """Tell pixels that move from those that only are noisy, and poses from mere repetitions.
+def detect_motion(thumbnails: FloatArray, counts: FloatArray) -> Motion:
+    """Find the pixels that move more than noise, and weigh the thumbnails by pose.
 
-    A pose weighs as much as the root of its frames, however many cells they lie in: hours of rest do not outweigh
-    the motion, nor does a hand that passes once. For the same reason a pixel's spread counts from its 5th to its
-    95th percentile.
+    A pose has the weight of the square root of its number of frames, in however many clusters they are: neither
+    hours of rest nor a hand that passes once outweighs the motion. For the same reason a pixel's spread is taken from
+    its 5th to its 95th percentile.
 
     Parameters
     ----------
-    looks : (n, P) grey levels
-    counts : (n,) frames that look like each
+    thumbnails : ndarray of float
+        (n, P) grey levels.
+    counts : ndarray of float
+        (n,) number of frames that each thumbnail stands for.
+
+    Returns
+    -------
+    Motion
+        Moving pixels, weights and noise.
     """
-    deviation = looks.std(axis=0)
+    deviation = thumbnails.std(axis=0)
     still = deviation[deviation <= np.quantile(deviation, 0.25)]
-    noise = max(float(np.sqrt(np.mean(still.astype(np.float64) ** 2))), _ROUNDING)
-    crowd = (rms_distances(looks) <= _CROWD * np.sqrt(2) * noise) @ counts
+    noise = max(float(np.sqrt(np.mean(still.astype(np.float64) ** 2))), _ROUNDING_SD)
+    crowd = (rms_distances(thumbnails) <= _SAME_POSE * np.sqrt(2) * noise) @ counts
     weight = counts / np.sqrt(crowd)
     weight /= weight.sum()
-    order = np.argsort(looks, axis=0)
+    order = np.argsort(thumbnails, axis=0)
     below = np.cumsum(weight[order], axis=0)
     low, high = (
-        np.take_along_axis(looks, np.take_along_axis(order, (below < part).sum(axis=0)[None], axis=0), axis=0)
+        np.take_along_axis(
+            thumbnails, np.take_along_axis(order, (below < part).sum(axis=0)[None], axis=0), axis=0
+        )
         for part in (0.05, 0.95)
     )
-    moving = (high - low)[0] > _MOVES * _WIDTH * noise
-    moves = bool(moving.mean() > _SPECKS)
-    return Movement(np.sqrt(2) * noise, weight, moving if moves else np.ones_like(moving), moves)
+    moving = (high - low)[0] > _MOVING_RATIO * _PERCENTILE_WIDTH * noise
+    moves = bool(moving.mean() > _MIN_MOVING_SHARE)
+    return Motion(np.sqrt(2) * noise, weight, moving if moves else np.ones_like(moving), moves)
 
 
-def views(distances: FloatArray, counts: FloatArray) -> np.ndarray:
-    """Tell looks from different views apart: (n,) int, 0 for the first view.
+def split_views(distances: FloatArray, counts: FloatArray) -> np.ndarray:
+    """Separate thumbnails of different views of the camera.
 
-    A view holds the looks between which there is a way in small steps. It ends where the smallest step to other
-    looks is as large as its own looks differ, and both sides have their share of the frames.
+    The thumbnails of a view are connected by small steps. Two views are apart by a step about as large as the
+    distances within them (`_VIEW_JUMP`), and each has its share of the frames.
+
+    Parameters
+    ----------
+    distances : ndarray of float
+        (n, n) between thumbnails.
+    counts : ndarray of float
+        (n,) number of frames that each thumbnail stands for.
+
+    Returns
+    -------
+    ndarray
+        (n,) int, number of each thumbnail's view, from 0.
     """
     view = np.zeros(len(distances), np.intp)
     _split(distances, counts / counts.sum(), np.arange(len(distances)), view)
@@ -95,9 +122,9 @@ def views(distances: FloatArray, counts: FloatArray) -> np.ndarray:
 
 
 def _split(distances: FloatArray, shares: FloatArray, members: np.ndarray, view: np.ndarray) -> None:
-    """Give the looks beyond the longest step another view, and go on with both sides."""
+    """Give the thumbnails beyond the longest step another view, and continue with both sides."""
     within = distances[np.ix_(members, members)]
-    tree = minimum_spanning_tree(csr_matrix(within + _NO_EDGE)).tocoo()
+    tree = minimum_spanning_tree(csr_matrix(within + _EDGE_OFFSET)).tocoo()
     for cut in np.argsort(-tree.data):
         rest = np.arange(len(tree.data)) != cut
         graph = csr_matrix((tree.data[rest], (tree.row[rest], tree.col[rest])), shape=within.shape)
@@ -105,7 +132,7 @@ def _split(distances: FloatArray, shares: FloatArray, members: np.ndarray, view:
         if min(shares[members[side]].sum(), shares[members[~side]].sum()) < _VIEW_SHARE:
             continue
         sizes = [within[np.ix_(part, part)].max() for part in (side, ~side)]
-        if tree.data[cut] > _VIEW_JUMP * max(sizes) and min(side.sum(), (~side).sum()) >= _VIEW_LOOKS:
+        if tree.data[cut] > _VIEW_JUMP * max(sizes) and min(side.sum(), (~side).sum()) >= _VIEW_THUMBNAILS:
             view[members[~side]] = view.max() + 1
             _split(distances, shares, members[side], view)
             _split(distances, shares, members[~side], view)
@@ -113,27 +140,35 @@ def _split(distances: FloatArray, shares: FloatArray, members: np.ndarray, view:
 
 
 def motion_coordinate(distances: FloatArray, weight: FloatArray) -> FloatArray:
-    """Where each look lies along the main motion, (n,) in the distances' unit; which end is which is left open.
+    """Return the coordinate of each thumbnail along the main motion.
 
-    The length of the way from look to look in small steps (Isomap: Tenenbaum, de Silva and Langford 2000), of which
-    the first principal coordinate is taken: an actuator bends in one way, so it grows with the angle.
+    It is the first principal coordinate of the geodesic distances in the neighbour graph (Isomap: Tenenbaum, de Silva
+    and Langford 2000). An actuator bends in one way, so the coordinate is monotonic in the angle; its sign is
+    arbitrary.
 
     Parameters
     ----------
-    distances : (n, n) between looks
-    weight : (n,) of each look, adding up to 1
+    distances : ndarray of float
+        (n, n) between thumbnails.
+    weight : ndarray of float
+        (n,) weight of each thumbnail, with sum 1.
+
+    Returns
+    -------
+    ndarray of float
+        (n,) coordinates, in the distances' unit.
     """
     n = len(distances)
     if n < 3:
         return np.arange(n, dtype=np.float64) * (distances[0, -1] if n else 0.0)
-    graph = minimum_spanning_tree(csr_matrix(distances + _NO_EDGE)).toarray()
-    neighbours = min(int(np.clip(n // _LOOKS_A_NEIGHBOUR, *_NEIGHBOURS)), n - 1)
+    graph = minimum_spanning_tree(csr_matrix(distances + _EDGE_OFFSET)).toarray()
+    neighbours = min(int(np.clip(n // _THUMBNAILS_PER_NEIGHBOUR, *_NEIGHBOURS)), n - 1)
     near = np.argpartition(distances, neighbours, axis=1)[:, : neighbours + 1]
     rows = np.repeat(np.arange(n), near.shape[1])
-    graph[rows, near.ravel()] = distances[rows, near.ravel()] + _NO_EDGE
-    ways = shortest_path(csr_matrix(graph), directed=False)
-    square = ways**2
-    # Weighted classical scaling: the double-centred squares, of which the largest eigenvector.
+    graph[rows, near.ravel()] = distances[rows, near.ravel()] + _EDGE_OFFSET
+    geodesic = shortest_path(csr_matrix(graph), directed=False)
+    square = geodesic**2
+    # Weighted classical scaling: the eigenvector of the largest eigenvalue of the double-centred squares.
     across = square @ weight
     inner = -0.5 * (square - across[:, None] - across[None] + weight @ across)
     root = np.sqrt(weight)

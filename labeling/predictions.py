@@ -1,7 +1,7 @@
-"""What the network makes of every frame, computed behind the page's back and kept for the next time.
+"""A network's predictions of all frames, computed in a background thread and cached on disk.
 
-Any `Detector` will do; who trained it and how it is loaded is not known here. It is loaded only when a frame is
-not in the cache, which is named after the network's hash.
+Any `Detector` will do; its training and loading are not known here. It is loaded only when a frame is not in the
+cache. The cache file is named after the network's hash.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ import numpy as np
 
 from ..tracker.errors import LabelError
 from ..tracker.types import Detector
-from .annotations import Picture
+from .annotations import ImageFile
 from .frame_state import FrameState
+from .images import decode_image
 from .label_table import Point
-from .pictures import decoded_picture
 
-# Above the pages' requests in number, so below them in rank.
+# Unix niceness of the thread: requests of pages come first.
 _NICENESS = 10
-# How long the worker sleeps before it looks for pictures that came meanwhile.
-_PAUSE_S = 5.0
+# Interval at which the worker looks for new images when all are done.
+_POLL_INTERVAL_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -38,9 +38,12 @@ class Network:
 
     Attributes
     ----------
-    name : for people
-    key : of its weights and whatever else decides what it finds, such as a hash
-    load : makes the detector; may take seconds
+    name : str
+        Name to show.
+    key : str
+        Of its weights and whatever else decides what it finds, such as a hash.
+    load : callable
+        Makes the detector; may take seconds.
     """
 
     name: str
@@ -50,13 +53,16 @@ class Network:
 
 @dataclass(frozen=True)
 class Prediction:
-    """What a network found in one frame.
+    """A network's prediction of one frame.
 
     Attributes
     ----------
-    points : keypoint -> (x, y) px
-    sd_px : keypoint -> standard deviation of a coordinate, None where the network does not say
-    likelihood : keypoint -> in [0, 1]
+    points : dict of str to Point
+        Keypoint -> (x, y) px.
+    sd_px : dict of str to float or None
+        keypoint -> standard deviation of a coordinate, None where the network does not say.
+    likelihood : dict of str to float
+        keypoint -> in [0, 1].
     """
 
     points: dict[str, Point]
@@ -64,7 +70,18 @@ class Prediction:
     likelihood: dict[str, float]
 
     def farthest(self, state: FrameState) -> tuple[str, float] | None:
-        """The keypoint whose label lies farthest from the prediction, and the distance px; None without labels."""
+        """Return the keypoint whose label lies farthest from the prediction, and that distance in px.
+
+        Parameters
+        ----------
+        state : FrameState
+            The frame's labels.
+
+        Returns
+        -------
+        tuple of str and float or None
+            None where no predicted keypoint is labelled.
+        """
         distances = {
             name: float(np.hypot(*np.subtract(point, self.points[name])))
             for name, point in state.points.items()
@@ -74,26 +91,36 @@ class Prediction:
 
 
 class Predictions:
-    """A thread that runs a network over pictures, those that are wanted first.
+    """A thread that runs a network over all images, prioritised ones first.
 
     Parameters
     ----------
-    network : what to run
-    folder : where the cache lies
-    pictures : gives all pictures there are
-    notify : is told, from the thread, of every (video, image) that is done; and None when the state changes
+    network : Network
+        The network to run.
+    folder : Path
+        Folder of the cache.
+    images : callable
+        Returns all images of the project.
+    notify : callable
+        Called from the thread with every (video, image) that is done, and with None when the state changes.
 
     Attributes
     ----------
-    state : "loading", "working", "ready" or "failed"
-    reason : why it failed
+    name : str
+        The network's name.
+    state : str
+        "loading", "working", "ready" or "failed".
+    reason : str
+        Why it failed; empty otherwise.
+    total : int
+        Number of images of the project.
     """
 
     def __init__(
         self,
         network: Network,
         folder: Path,
-        pictures: Callable[[], Sequence[Picture]],
+        images: Callable[[], Sequence[ImageFile]],
         notify: Callable[[tuple[str, str] | None], None],
     ) -> None:
         self.name = network.name
@@ -101,94 +128,94 @@ class Predictions:
         self.total = 0
         self._network = network
         self._path = folder / f"predictions-{network.key[:32]}.jsonl"
-        self._pictures = pictures
+        self._pictures = images
         self._notify = notify
         self._found: dict[str, Prediction] = {}
         self._unreadable: set[str] = set()
-        self._wanted: list[Picture] = []
+        self._prioritised: list[ImageFile] = []
         self._wake = threading.Condition()
         self._stopped = False
         self._thread = threading.Thread(target=self._run, name="predictions", daemon=True)
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._thread.start()
 
     def stop(self) -> None:
-        """End after the frame at hand, without waiting for it."""
+        """Stop after the current frame, without waiting for it."""
         with self._wake:
             self._stopped = True
             self._wake.notify()
 
-    def of(self, picture: Picture) -> Prediction | None:
-        """What was found in a picture; None while it is not known."""
-        return self._found.get(_key(picture))
+    def get(self, image_file: ImageFile) -> Prediction | None:
+        """Return the prediction of an image, None while there is none."""
+        return self._found.get(_key(image_file))
 
-    def want(self, pictures: Iterable[Picture]) -> None:
-        """Look at these before all others."""
+    def prioritise(self, images: Iterable[ImageFile]) -> None:
+        """Predict these images before all others."""
         with self._wake:
-            self._wanted = list(pictures)
+            self._prioritised = list(images)
             self._wake.notify()
 
     @property
     def done(self) -> int:
-        """How many of the pictures are known."""
+        """Number of images that have a prediction."""
         return min(len(self._found), self.total)
 
     def _run(self) -> None:
-        if sys.platform == "linux":  # where a thread has a priority of its own
+        if sys.platform == "linux":  # here a thread has a priority of its own
             with suppress(OSError):
                 os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
         try:
             self._read_cache()
             detector: Detector | None = None
             while not self._stopped:
-                picture = self._next()
-                if picture is None:
-                    self._become("ready")
+                image_file = self._next()
+                if image_file is None:
+                    self._set_state("ready")
                     with self._wake:
                         if not self._stopped:
-                            self._wake.wait(_PAUSE_S)
+                            self._wake.wait(_POLL_INTERVAL_S)
                     continue
                 if detector is None:
-                    self._become("loading")
+                    self._set_state("loading")
                     detector = self._network.load()
-                self._become("working")
-                self._look_at(picture, detector)
-        except Exception as error:  # a network that does not run must not end the labelling
+                self._set_state("working")
+                self._predict(image_file, detector)
+        except Exception as error:  # a network that does not run must not stop the labelling
             self.reason = " ".join(str(error).split()) or type(error).__name__
-            self._become("failed")
+            self._set_state("failed")
 
-    def _next(self) -> Picture | None:
-        pictures = self._pictures()
-        self.total = len(pictures)
+    def _next(self) -> ImageFile | None:
+        images = self._pictures()
+        self.total = len(images)
         with self._wake:
-            wanted = self._wanted
-        for picture in (*wanted, *pictures):
-            if _key(picture) not in self._found and _key(picture) not in self._unreadable:
-                return picture
+            wanted = self._prioritised
+        for image_file in (*wanted, *images):
+            if _key(image_file) not in self._found and _key(image_file) not in self._unreadable:
+                return image_file
         return None
 
-    def _look_at(self, picture: Picture, detector: Detector) -> None:
+    def _predict(self, image_file: ImageFile, detector: Detector) -> None:
         try:
-            image = cv2.cvtColor(decoded_picture(picture), cv2.COLOR_BGR2RGB)
+            image = cv2.cvtColor(decode_image(image_file), cv2.COLOR_BGR2RGB)
         except (OSError, LabelError):
-            self._unreadable.add(_key(picture))
+            self._unreadable.add(_key(image_file))
             return
         detections = detector.detect(np.asarray(image, np.uint8)[None])
         variance = np.trace(detections.covariance[0], axis1=1, axis2=2) / 2
         record = {
-            "picture": _key(picture),
+            "picture": _key(image_file),
             "found": {
                 name: [*map(_number, detections.xy[0, k]), _number(np.sqrt(variance[k])),
                        _number(detections.likelihood[0, k])]
                 for k, name in enumerate(detector.keypoints)
             },
         }  # fmt: skip
-        self._take(record)
+        self._add_record(record)
         with self._path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(record) + "\n")
-        self._notify((picture.path.parent.name, picture.name))
+        self._notify((image_file.path.parent.name, image_file.name))
 
     def _read_cache(self) -> None:
         try:
@@ -196,12 +223,11 @@ class Predictions:
         except FileNotFoundError:
             return
         for line in lines:
-            with suppress(
-                ValueError, KeyError, TypeError, AttributeError
-            ):  # cut short when a server was killed
-                self._take(json.loads(line))
+            # A line may be truncated where a server was killed.
+            with suppress(ValueError, KeyError, TypeError, AttributeError):
+                self._add_record(json.loads(line))
 
-    def _take(self, record: dict[str, Any]) -> None:
+    def _add_record(self, record: dict[str, Any]) -> None:
         found = {name: values for name, values in record["found"].items() if None not in values[:2]}
         self._found[str(record["picture"])] = Prediction(
             {name: (float(x), float(y)) for name, (x, y, _, _) in found.items()},
@@ -209,14 +235,14 @@ class Predictions:
             {name: float(likelihood or 0.0) for name, (_, _, _, likelihood) in record["found"].items()},
         )
 
-    def _become(self, state: str) -> None:
+    def _set_state(self, state: str) -> None:
         if state != self.state:
             self.state = state
             self._notify(None)
 
 
-def _key(picture: Picture) -> str:
-    return f"{picture.path.parent.name}/{picture.name}/{picture.stamp}"
+def _key(image_file: ImageFile) -> str:
+    return f"{image_file.path.parent.name}/{image_file.name}/{image_file.stamp}"
 
 
 def _number(value: Any) -> float | None:

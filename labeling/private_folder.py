@@ -1,6 +1,6 @@
-"""<project>/.bendtrack/: what belongs to the labelling server alone. Secret, ports, lock; journal and caches lie there.
+"""The private folder <project>/.bendtrack/ of the labelling server: secret, ports, lock, journal and caches.
 
-It can be deleted at any time: what is lost is the undo history. No label is in it alone.
+It can be deleted at any time. Only the undo history is lost: no label is stored only there.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ..tracker.errors import ProjectError
 
 try:
     import fcntl
-except ImportError:  # Windows: one server a project, which its own lock serves
+except ImportError:  # Windows: one server for each project, so its thread lock is enough
     fcntl = None  # type: ignore[assignment]
 
 _PORTS_KEPT = 4
@@ -29,14 +29,15 @@ class PrivateFolder:
 
     Parameters
     ----------
-    root : the project's folder
+    root : Path
+        The project's folder.
 
     Raises
     ------
     ProjectError
-        The name is taken by a link or a file.
+        Its name is taken by a link or a file.
     OSError
-        It cannot be made.
+        It cannot be created.
     """
 
     def __init__(self, root: Path) -> None:
@@ -52,16 +53,16 @@ class PrivateFolder:
 
     @contextmanager
     def lock(self) -> Iterator[None]:
-        """Hold the project against every thread and every other server, until the block ends.
+        """Lock the project against all other threads and servers until the block ends.
 
-        A process that is killed lets go. May be taken again inside.
+        The lock is reentrant. A process that is killed releases it.
         """
         with self._thread_lock:
             self._depth += 1
             descriptor = None
             try:
                 if self._depth == 1:
-                    self.path.mkdir(mode=0o700, exist_ok=True)  # if it was deleted meanwhile
+                    self.path.mkdir(mode=0o700, exist_ok=True)  # it may have been deleted meanwhile
                 if self._depth == 1 and fcntl is not None:
                     descriptor = os.open(self.path / "lock", os.O_RDWR | os.O_CREAT, 0o600)
                     with suppress(OSError):  # a file system without locks
@@ -73,7 +74,7 @@ class PrivateFolder:
                     os.close(descriptor)
 
     def secret(self) -> str:
-        """The session's secret, made at the first call; a page that knows it outlives the server."""
+        """Return the session's secret, created at the first call. Its cookie stays valid after a restart."""
         path = self.path / "secret"
         with self.lock():
             with suppress(FileNotFoundError):
@@ -81,7 +82,7 @@ class PrivateFolder:
                 text = path.read_text(encoding="ascii", errors="replace").strip()
                 if len(text) >= 32 and text.isascii() and text.replace("-", "").replace("_", "").isalnum():
                     return text
-                path.unlink()  # cut short, or not ours
+                path.unlink()  # truncated, or not written by us
             text = secrets.token_urlsafe(32)
             descriptor = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600)
             with open(descriptor, "w", encoding="ascii") as file:
@@ -91,7 +92,7 @@ class PrivateFolder:
             return text
 
     def ports(self) -> list[int]:
-        """Ports that this project was served on, the first first: pages may be waiting there."""
+        """Return the ports that this project was served on, the oldest first: pages may be waiting there."""
         try:
             found = json.loads((self.path / "ports.json").read_bytes())
         except (OSError, ValueError):
@@ -99,7 +100,7 @@ class PrivateFolder:
         return [port for port in found if isinstance(port, int)] if isinstance(found, list) else []
 
     def remember_port(self, port: int) -> None:
-        """Keep a port for the next start."""
+        """Store a port for the next start."""
         with self.lock():
             ports = list(dict.fromkeys([*self.ports(), port]))[-_PORTS_KEPT:]
             if ports != self.ports():

@@ -1,7 +1,7 @@
-"""The labelling server's answers: each address, what it gives and what it changes. The contract is page/API.md.
+"""Routes of the labelling server: what each one answers and changes. The contract is page/API.md.
 
-Who is let in is decided in `door.py`; what pages are told comes from `page_facts.py`; what an edit does is in
-`edits.py`, listening and starting in `serving.py`.
+Authentication is in `auth.py`, the answers' contents in `view_models.py`, the effect of an edit in `edits.py`.
+Starting the server is in `serving.py`.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 
 from ..tracker.errors import LabelError
-from .annotations import Annotations, Picture
-from .bodies import EditBody, RepeatBody, StepBody, points_of
+from .annotations import Annotations, ImageFile
 from .edits import Change, Edited, Editor
+from .event_stream import EventBroadcaster
 from .frame_state import FrameState
+from .images import header_size_wh, image_for_browser, thumbnail
 from .label_table import Point
-from .page_facts import NoFrameError, PageFacts
-from .pictures import picture_for_browser, picture_size_wh, thumbnail
-from .repeats import Repeat, project_spread, spread_of
-from .watching import Watch
+from .repeatability import RepeatLabel, project_repeatability, repeatability_of
+from .schemas import EditRequest, RepeatRequest, StepRequest, points_from_request
+from .view_models import FrameNotFoundError, ViewModels
 
 _PAGE_TYPES = {
     ".html": "text/html; charset=utf-8",
@@ -41,23 +41,31 @@ _PAGE_TYPES = {
     ".png": "image/png",
     ".woff2": "font/woff2",
 }
-_FOR_GOOD = "private, max-age=31536000, immutable"
+_CACHE_FOREVER = "private, max-age=31536000, immutable"
 
-_Body = TypeVar("_Body", bound=BaseModel)
+_RequestModel = TypeVar("_RequestModel", bound=BaseModel)
 
 
 class LabellingServer:
-    """Everything behind the door.
+    """The labelling server's application, without authentication.
 
     Parameters
     ----------
-    annotations, editor : the project's frames
-    repeat_share : share of the labelled frames that comes back blind
-    stopping : whether the server is about to end
+    annotations : Annotations
+        The project's frames.
+    editor : Editor
+        Writes changes of the frames.
+    repeat_share : float
+        Share in [0, 1] of the labelled frames that is shown again for a blind repeat label.
+    stopping : callable, optional
+        Returns True when the server is about to stop.
 
     Attributes
     ----------
-    facts : what pages are told
+    view_models : ViewModels
+        Contents of the answers.
+    broadcaster : EventBroadcaster
+        Events to the connected pages.
     """
 
     def __init__(
@@ -72,16 +80,16 @@ class LabellingServer:
         self._editor = editor
         self._server_id = secrets.token_hex(8)
         self._page = Path(str(files("bendtrack.labeling"))) / "page"
-        # A filmstrip asks for dozens of thumbnails at once; a click in between must not wait for a core.
-        self._one_at_a_time = asyncio.Semaphore(1)
-        self.watch = Watch(annotations, stopping)
-        self.facts = PageFacts(annotations, editor, repeat_share)
+        # A filmstrip requests dozens of thumbnails at once; a click in between must not wait for a core.
+        self._thumbnail_slot = asyncio.Semaphore(1)
+        self.broadcaster = EventBroadcaster(annotations, stopping)
+        self.view_models = ViewModels(annotations, editor, repeat_share)
 
     def app(self) -> Starlette:
-        """The ASGI application."""
+        """Return the ASGI application."""
 
-        def get(path: str, answer: Callable[[Request], Any]) -> Route:
-            return Route(path, answer, methods=["GET"])
+        def get(path: str, endpoint: Callable[[Request], Any]) -> Route:
+            return Route(path, endpoint, methods=["GET"])
 
         frame = "/api/frames/{video}/{image}"
         return Starlette(
@@ -101,44 +109,50 @@ class LabellingServer:
                 Route("/api/repeats/{video}/{image}", self._repeat, methods=["PUT"]),
             ],
             exception_handlers={
-                HTTPException: _refused,
-                NoFrameError: _not_there,
-                LabelError: self._trouble,
-                OSError: self._trouble,
+                HTTPException: _empty_response,
+                FrameNotFoundError: _not_found,
+                LabelError: self._service_unavailable,
+                OSError: self._service_unavailable,
             },
             lifespan=self._lifespan,
         )
 
     def predicted(self, frame: tuple[str, str] | None) -> None:
-        """Told by the network's thread what it has done."""
-        assert self.facts.predictions is not None
+        """Broadcast the network's progress; called from its thread.
+
+        Parameters
+        ----------
+        frame : tuple of str or None
+            (video, image) of a frame that has a prediction now; None when the network's state has changed.
+        """
+        assert self.view_models.predictions is not None
         if frame is not None:
-            self.watch.tell_from_thread({"type": "predicted", "id": "/".join(frame)})
+            self.broadcaster.broadcast_from_thread({"type": "predicted", "id": "/".join(frame)})
         else:
-            self.watch.tell_from_thread({"type": "model", **self.facts.model_state()})
+            self.broadcaster.broadcast_from_thread({"type": "model", **self.view_models.model_state()})
 
     @asynccontextmanager
     async def _lifespan(self, app: Starlette) -> AsyncIterator[None]:
-        watching = asyncio.create_task(self.watch.run())
-        if self.facts.predictions is not None:
-            self.facts.predictions.start()
+        polling = asyncio.create_task(self.broadcaster.run())
+        if self.view_models.predictions is not None:
+            self.view_models.predictions.start()
         yield
-        watching.cancel()
+        polling.cancel()
         with suppress(asyncio.CancelledError):
-            await watching
-        if self.facts.predictions is not None:
-            self.facts.predictions.stop()
+            await polling
+        if self.view_models.predictions is not None:
+            self.view_models.predictions.stop()
 
     # The page itself
 
     async def _index(self, request: Request) -> Response:
-        return self._page_answer("index.html")
+        return self._page_response("index.html")
 
     async def _page_file(self, request: Request) -> Response:
-        return self._page_answer(request.path_params["name"])
+        return self._page_response(request.path_params["name"])
 
-    def _page_answer(self, name: str) -> Response:
-        # A name is looked up among those there are; it never becomes a path.
+    def _page_response(self, name: str) -> Response:
+        # A name is compared with the files of the folder; it never becomes a path.
         for path in self._page.iterdir():
             if path.name == name and path.suffix in _PAGE_TYPES and path.is_file():
                 return Response(path.read_bytes(), headers={"content-type": _PAGE_TYPES[path.suffix]})
@@ -147,51 +161,53 @@ class LabellingServer:
     # Reading
 
     async def _project(self, request: Request) -> Response:
-        facts = await run_in_threadpool(self.facts.project)
-        return JSONResponse({**facts, "server_id": self._server_id})
+        project = await run_in_threadpool(self.view_models.project)
+        return JSONResponse({**project, "server_id": self._server_id})
 
     async def _frames(self, request: Request) -> Response:
-        return JSONResponse(await run_in_threadpool(self.facts.frame_list, request.query_params.get("after")))
+        return JSONResponse(
+            await run_in_threadpool(self.view_models.frame_list, request.query_params.get("after"))
+        )
 
     async def _frame(self, request: Request) -> Response:
         if request.method == "PUT":
             return await self._edit(request)
-        return JSONResponse(await run_in_threadpool(self.facts.frame, *_named(request)))
+        return JSONResponse(await run_in_threadpool(self.view_models.frame, *_frame_of(request)))
 
     async def _image(self, request: Request) -> Response:
-        _, picture = await run_in_threadpool(self.facts.picture, *_named(request))
-        tag = f'"{picture.stamp}"'
-        headers = {"etag": tag, "cache-control": _FOR_GOOD}
+        _, image_file = await run_in_threadpool(self.view_models.image_file, *_frame_of(request))
+        tag = f'"{image_file.stamp}"'
+        headers = {"etag": tag, "cache-control": _CACHE_FOREVER}
         if request.headers.get("if-none-match") == tag:
             return Response(status_code=304, headers=headers)
-        data, media_type = await run_in_threadpool(picture_for_browser, picture)
+        data, media_type = await run_in_threadpool(image_for_browser, image_file)
         return Response(data, media_type=media_type, headers=headers)
 
     async def _thumb(self, request: Request) -> Response:
-        _, picture = await run_in_threadpool(self.facts.picture, *_named(request))
-        async with self._one_at_a_time:
-            data = await run_in_threadpool(thumbnail, picture)
-        return Response(data, media_type="image/jpeg", headers={"cache-control": _FOR_GOOD})
+        _, image_file = await run_in_threadpool(self.view_models.image_file, *_frame_of(request))
+        async with self._thumbnail_slot:
+            data = await run_in_threadpool(thumbnail, image_file)
+        return Response(data, media_type="image/jpeg", headers={"cache-control": _CACHE_FOREVER})
 
     async def _summary(self, request: Request) -> Response:
-        return JSONResponse(await run_in_threadpool(self.facts.summary))
+        return JSONResponse(await run_in_threadpool(self.view_models.summary))
 
     async def _events(self, request: Request) -> Response:
         hello = {"type": "hello", "server_id": self._server_id}
-        return StreamingResponse(self.watch.events(hello), media_type="text/event-stream")
+        return StreamingResponse(self.broadcaster.events(hello), media_type="text/event-stream")
 
     # Changing
 
     async def _edit(self, request: Request) -> Response:
-        video, image = _named(request)
-        body = await _body(request, EditBody)
-        edited = await run_in_threadpool(self._carry_out, video, image, body)
-        return await self._answer(edited, body, wrapped=edited.conflict)
+        video, image = _frame_of(request)
+        body = await _body(request, EditRequest)
+        edited = await run_in_threadpool(self._apply_edit, video, image, body)
+        return await self._edit_response(edited, body, wrapped=edited.conflict)
 
-    def _carry_out(self, video: str, image: str, body: EditBody) -> Edited:
-        folder, picture = self.facts.picture(video, image)
-        points = points_of(body.points)
-        self._check_points(points, folder.states[image], picture)
+    def _apply_edit(self, video: str, image: str, body: EditRequest) -> Edited:
+        folder, image_file = self.view_models.image_file(video, image)
+        points = points_from_request(body.points)
+        self._check_points(points, folder.states[image], image_file)
         hidden = body.not_visible
         if hidden is not None:
             self._check_names(hidden)
@@ -220,98 +236,99 @@ class LabellingServer:
         return await self._step(request, self._editor.redo)
 
     async def _step(self, request: Request, step: Callable[..., Edited | None]) -> Response:
-        body = await _body(request, StepBody)
+        body = await _body(request, StepRequest)
         edited = await run_in_threadpool(step, edit_id=str(body.edit_id), client_id=body.client_id)
         if edited is None:
             return Response(status_code=204)
-        return await self._answer(edited, body, wrapped=True)
+        return await self._edit_response(edited, body, wrapped=True)
 
-    async def _answer(self, edited: Edited, body: StepBody | EditBody, *, wrapped: bool) -> Response:
+    async def _edit_response(
+        self, edited: Edited, body: StepRequest | EditRequest, *, wrapped: bool
+    ) -> Response:
         try:
-            facts = await run_in_threadpool(self.facts.frame, edited.video, edited.image)
-        except NoFrameError:  # its picture has gone since
+            frame = await run_in_threadpool(self.view_models.frame, edited.video, edited.image)
+        except FrameNotFoundError:  # its image has been removed since
             return Response(status_code=204 if wrapped else 404)
         if edited.changed:
-            self.watch.changed(facts["id"], facts["revision"], body.client_id, str(body.edit_id))
-        return JSONResponse({"frame": facts} if wrapped else facts, 409 if edited.conflict else 200)
+            self.broadcaster.frame_changed(frame["id"], frame["revision"], body.client_id, str(body.edit_id))
+        return JSONResponse({"frame": frame} if wrapped else frame, 409 if edited.conflict else 200)
 
     # Repeat labels
 
     async def _next_repeat(self, request: Request) -> Response:
-        facts = await run_in_threadpool(self.facts.next_repeat)
-        return Response(status_code=204) if facts is None else JSONResponse(facts)
+        frame = await run_in_threadpool(self.view_models.next_repeat)
+        return Response(status_code=204) if frame is None else JSONResponse(frame)
 
     async def _repeat(self, request: Request) -> Response:
-        body = await _body(request, RepeatBody)
-        return JSONResponse(await run_in_threadpool(self._keep_repeat, *_named(request), body))
+        body = await _body(request, RepeatRequest)
+        return JSONResponse(await run_in_threadpool(self._store_repeat, *_frame_of(request), body))
 
-    def _keep_repeat(self, video: str, image: str, body: RepeatBody) -> dict[str, Any]:
-        folder, picture = self.facts.picture(video, image)
+    def _store_repeat(self, video: str, image: str, body: RepeatRequest) -> dict[str, Any]:
+        folder, image_file = self.view_models.image_file(video, image)
         project = self._annotations.project
         edit_id = str(body.edit_id)
-        again = self._editor.was_done(edit_id)
-        if (
-            not again
-            and (video, image) not in self.facts.plan_of_repeats(self._annotations.folders()).waiting
-        ):
+        was_done = self._editor.was_done(edit_id)
+        plan = self.view_models.current_repeat_plan(self._annotations.folders())
+        if not was_done and (video, image) not in plan.waiting:
             raise HTTPException(404)
-        points = points_of(body.points)
-        self._check_points(points, FrameState(), picture)
-        if not again:
+        points = points_from_request(body.points)
+        self._check_points(points, FrameState(), image_file)
+        if not was_done:
             placed = {name: point for name, point in points.items() if point is not None}
-            repeat = Repeat(placed, folder.states[image].points)
+            repeat = RepeatLabel(placed, folder.states[image].points)
             self._editor.repeat(video, image, repeat.to_json(), edit_id=edit_id, client_id=body.client_id)
-            folder, _ = self.facts.picture(video, image)
-        kept = Repeat.from_json(folder.repeats.get(image, {}))
-        definition = self.facts.definition(self._annotations.folders())
-        own = None if kept is None else spread_of([kept], project.keypoints, definition)
-        spread = project_spread(self._annotations)
-        # Of one frame, the difference itself: spread_of gives the standard deviation of one label of the two.
+            folder, _ = self.view_models.image_file(video, image)
+        stored = RepeatLabel.from_json(folder.repeats.get(image, {}))
+        definition = self.view_models.definition(self._annotations.folders())
+        own = None if stored is None else repeatability_of([stored], project.keypoints, definition)
+        repeatability = project_repeatability(self._annotations)
+        # For one frame the difference itself; `repeatability_of` gives the standard deviation of one of two labels.
         return {
             "id": f"{video}/{image}",
             "px": None if own is None else round(2 * own.px, 3),
             "angle_deg": None if own is None or own.deg is None else round(2**0.5 * own.deg, 3),
-            "spread": None if spread is None else spread.to_json(),
+            "spread": None if repeatability is None else repeatability.to_json(),
         }
 
-    # What they share
-
+    # Checks and errors
     def _check_names(self, names: Sequence[str]) -> None:
         if not set(names) <= set(self._annotations.project.keypoints):
             raise HTTPException(422)
 
-    def _check_points(self, points: Mapping[str, Point | None], state: FrameState, picture: Picture) -> None:
-        """Refuse (422) keypoints that the project has not, and new positions outside the picture."""
+    def _check_points(
+        self, points: Mapping[str, Point | None], state: FrameState, image_file: ImageFile
+    ) -> None:
+        """Refuse (422) keypoints that the project does not have, and new positions outside the image."""
         self._check_names(list(points))
-        size_wh = picture_size_wh(picture)
+        size_wh = header_size_wh(image_file)
         for name, point in points.items():
             if point is None or state.points.get(name) == point:
                 continue
             if size_wh is None or not all(-0.5 <= c <= n - 0.5 for c, n in zip(point, size_wh, strict=True)):
                 raise HTTPException(422)
 
-    async def _trouble(self, request: Request, error: Exception) -> Response:
-        """The files are not as they should be, or the disk is full: the page says so and tries again."""
+    async def _service_unavailable(self, request: Request, error: Exception) -> Response:
+        """Answer 503 where files are malformed or the disk is full: the page shows the reason and tries again."""
         root = str(self._annotations.project.root)
         reason = " ".join(str(error).split()).replace(root + "/", "")
         return JSONResponse({"reason": reason[:500]}, 503)
 
 
-def _named(request: Request) -> tuple[str, str]:
+def _frame_of(request: Request) -> tuple[str, str]:
     return request.path_params["video"], request.path_params["image"]
 
 
-async def _body(request: Request, kind: type[_Body]) -> _Body:
+async def _body(request: Request, kind: type[_RequestModel]) -> _RequestModel:
     try:
         return kind.model_validate_json(await request.body())
     except ValidationError:
         raise HTTPException(400) from None
 
 
-async def _refused(request: Request, error: Exception) -> Response:
+async def _empty_response(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)
     return Response(status_code=error.status_code, headers=error.headers)
 
 
-async def _not_there(request: Request, error: Exception) -> Response:
+async def _not_found(request: Request, error: Exception) -> Response:
     return Response(status_code=404)

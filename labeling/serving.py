@@ -1,6 +1,6 @@
-"""Starting the labelling server: its port, the address with the token, and running until it is stopped.
+"""Starting the labelling server: its port, the address with the token, and running it until it is stopped.
 
-What it answers is in `server.py`.
+Its routes are in `server.py`.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ import uvicorn
 
 from ..tracker.errors import LabelError
 from ..tracker.project import Project
-from .annotations import Annotations, Picture
-from .door import Door
+from .annotations import Annotations, ImageFile
+from .auth import AuthMiddleware
 from .edits import Editor
 from .predictions import Network, Predictions
 from .private_folder import PrivateFolder
-from .repeats import REPEAT_SHARE
+from .repeatability import REPEAT_SHARE
 from .server import LabellingServer
 
 _HOST = "127.0.0.1"
@@ -36,10 +36,16 @@ def serve_labelling(
 
     Parameters
     ----------
-    port : where to listen; None takes the port of an earlier time if it is free, else any
-    network : whose predictions are shown as ghosts
-    repeat_share : share of the labelled frames that comes back blind, 0 for none
-    ready : is called once with a function that makes addresses; each opens the page in one browser
+    project : Project
+        The project to label.
+    port : int or None, optional
+        Port to listen on. None takes one that this project was served on before if it is free, else any.
+    network : Network or None, optional
+        Network whose predictions are suggested.
+    repeat_share : float, optional
+        Share in [0, 1] of the labelled frames that is shown again for a blind repeat label; 0 for none.
+    ready : callable
+        Called once with a function that returns a new address at every call; each opens the page in one browser.
 
     Raises
     ------
@@ -51,7 +57,7 @@ def serve_labelling(
     editor = Editor(annotations, private)
     if not any(folder.states for folder in annotations.folders()):
         raise LabelError(
-            f"expected pictures to label in {project.labels_dir}, got none: `bendtrack frames` chooses some"
+            f"expected images to label in {project.labels_dir}, got none: `bendtrack frames` selects some"
         )
     secret = private.secret()
     listening = _listen(private, port)
@@ -62,13 +68,13 @@ def serve_labelling(
         annotations, editor, repeat_share=repeat_share, stopping=lambda: running.should_exit
     )
     if network is not None:
-        server.facts.predictions = Predictions(
-            network, private.path, lambda: _all_pictures(annotations), server.predicted
+        server.view_models.predictions = Predictions(
+            network, private.path, lambda: _all_images(annotations), server.predicted
         )
-    door = Door(server.app(), port, secret)
+    auth = AuthMiddleware(server.app(), port, secret)
     running = uvicorn.Server(
         uvicorn.Config(
-            door,
+            auth,
             http="h11",
             ws="none",
             loop="asyncio",
@@ -80,8 +86,8 @@ def serve_labelling(
             timeout_graceful_shutdown=3,
         )
     )
-    # Connections wait in the socket's queue until the server takes them, so it can be said already.
-    ready(lambda: f"http://{_HOST}:{port}/?token={door.new_token()}")
+    # Connections wait in the socket's queue until the server accepts them, so the address is valid already.
+    ready(lambda: f"http://{_HOST}:{port}/?token={auth.new_token()}")
     try:
         running.run(sockets=[listening])
     finally:
@@ -103,7 +109,7 @@ def _listen(private: PrivateFolder, port: int | None) -> socket.socket:
 
 
 def _bound(port: int) -> socket.socket:
-    # Said to be TCP, so that asyncio sends an answer's head and body without waiting 40 ms in between (Nagle).
+    # IPPROTO_TCP: only then asyncio sets TCP_NODELAY, without which an answer's body comes 40 ms after its head.
     listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     try:
         if os.name == "posix":  # elsewhere the option lets another program listen on the same port
@@ -116,8 +122,8 @@ def _bound(port: int) -> socket.socket:
     return listening
 
 
-def _all_pictures(annotations: Annotations) -> list[Picture]:
+def _all_images(annotations: Annotations) -> list[ImageFile]:
     try:
-        return [picture for folder in annotations.folders() for picture in folder.pictures.values()]
+        return [image_file for folder in annotations.folders() for image_file in folder.images.values()]
     except (LabelError, OSError):
-        return []  # malformed just now: the page is told, and the network has time
+        return []  # malformed at the moment: the page's own requests report it

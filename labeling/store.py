@@ -1,7 +1,7 @@
-"""The labels of a project: labeled-data/<video stem>/ with images and CollectedData_<scorer>.csv beside them.
+"""The label store of a project: labeled-data/<video stem>/ with images and CollectedData_<scorer>.csv.
 
-The form of the CSV itself is in `label_table.py`. One file for each video, replaced whole: who reads while
-another writes sees the labels before or after, never half of them.
+The CSV's format is in `label_table.py`. There is one file for each video. It is replaced atomically, so a reader gets
+the labels before or after a write, never a part of them.
 """
 
 from __future__ import annotations
@@ -25,15 +25,19 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 class LabelStore:
     """Reads and writes the labels of one labeled-data folder.
 
-    Every CollectedData_*.csv beside the images is read; only the own scorer's is written. Where several files
-    label one image, the own scorer's row counts.
+    Every CollectedData_*.csv next to the images is read; only that of `scorer` is written. Where several files label
+    one image, the row of `scorer` counts.
 
     Parameters
     ----------
-    labels_dir : the labeled-data folder; need not exist yet
-    keypoints : names, in the order of the arrays; other body parts in the files are kept, unread
-    scorer : whose file is written
-    actuator_of : video stem -> actuator
+    labels_dir : Path
+        The labeled-data folder; it need not exist yet.
+    keypoints : sequence of str
+        Names of the K keypoints, in the order of the arrays. Other body parts in the files are kept, but not read.
+    scorer : str
+        Scorer whose file is written.
+    actuator_of : callable
+        Takes a video stem and returns its actuator.
     """
 
     def __init__(
@@ -46,35 +50,41 @@ class LabelStore:
 
     @classmethod
     def of(cls, project: Project) -> LabelStore:
-        """The labels of a project."""
+        """Return the label store of a project."""
         return cls(project.labels_dir, project.keypoints, project.settings.scorer, project.actuator_of)
 
     def videos(self) -> list[str]:
-        """Stems of the videos that have a folder, sorted."""
+        """Return the stems of the videos that have a folder, sorted."""
         if not self.labels_dir.is_dir():
             return []
         return sorted(f.name for f in self.labels_dir.iterdir() if f.is_dir() and not f.name.startswith("."))
 
     def images(self, video: str) -> list[Path]:
-        """Pictures of a video, labelled or not, in the order of their frames."""
+        """Return the images of a video, labelled or not, in the order of their frames."""
         return images_in(self.labels_dir / video)
 
     def csv_path(self, video: str) -> Path:
-        """The file that `write` writes."""
+        """Return the path of the label file that `write` writes."""
         return self.labels_dir / video / f"CollectedData_{self.scorer}.csv"
 
     def read(self, *, unlabelled: bool = False) -> list[LabelledFrame]:
-        """All labelled frames, by video and then by frame.
+        """Read all labelled frames.
 
         Parameters
         ----------
-        unlabelled : also give the rows in which no keypoint of the project is labelled (all NaN)
+        unlabelled : bool, optional
+            Also return rows in which no keypoint of the project is labelled (all NaN).
+
+        Returns
+        -------
+        list of LabelledFrame
+            By video, then by frame; `xy` is (K, 2) px with NaN where a point is not labelled.
 
         Raises
         ------
         LabelError
-            A file is malformed, an image of a labelled row is missing, or two people's labels contradict each
-            other; with file, line and column.
+            A file is malformed, an image of a labelled row is missing, or labels of two scorers contradict each
+            other. The message gives file, line and column.
         """
         frames = []
         for video in self.videos():
@@ -90,12 +100,22 @@ class LabelStore:
         return frames
 
     def table(self, video: str) -> LabelTable:
-        """The rows of a video merged over its label files, with every body part that they name.
+        """Read the rows of a video, merged over its label files.
+
+        Parameters
+        ----------
+        video : str
+            Stem, the name of the folder.
+
+        Returns
+        -------
+        LabelTable
+            One row for each image, with every body part that the files name.
 
         Raises
         ------
         LabelError
-            As `read`.
+            A file is malformed, or labels of two scorers contradict each other.
         """
         own = self._own_table(video)
         bodyparts = dict.fromkeys([*self.keypoints, *own.bodyparts])
@@ -112,8 +132,10 @@ class LabelStore:
 
         Parameters
         ----------
-        video : stem, the name of the folder
-        labels : image name -> (K, 2) px in the order of the keypoints; NaN takes a point's label away
+        video : str
+            Stem, the name of the folder.
+        labels : mapping of str to ndarray of float
+            Image name -> (K, 2) px in the order of the keypoints; NaN removes a point's label.
 
         Raises
         ------
@@ -121,7 +143,7 @@ class LabelStore:
             An image is not in the folder, an array has another shape or an infinite number, or the existing
             file is malformed.
         OSError
-            The file cannot be written; the old one is then as it was.
+            The file cannot be written; the old one is unchanged.
         """
         points: dict[str, dict[str, Point | None]] = {}
         for image, xy in labels.items():
@@ -140,7 +162,23 @@ class LabelStore:
         self.write_points(video, points)
 
     def write_points(self, video: str, points: Mapping[str, Mapping[str, Point | None]]) -> None:
-        """As `write`, by body part: one that is not named stays; the project need not know it."""
+        """Set the labels of single body parts; all others stay as they are.
+
+        Parameters
+        ----------
+        video : str
+            Stem, the name of the folder.
+        points : mapping of str to mapping of str to Point or None
+            Image name -> body part -> (x, y) px, None to remove the label. Body parts need not be keypoints of the
+            project.
+
+        Raises
+        ------
+        LabelError
+            An image is not in the folder, or the existing file is malformed.
+        OSError
+            The file cannot be written; the old one is unchanged.
+        """
         for image in points:
             if not (self.labels_dir / video / image).is_file():
                 raise LabelError(
@@ -150,7 +188,7 @@ class LabelStore:
         rows = merge_rows(self._own_table(video).rows)
         inherited = {row.image: row for row in merged.rows}
         for image, changes in points.items():
-            # The first own label of an image that someone else labelled takes the other points along.
+            # The first own label of an image that another scorer has labelled copies that scorer's other points.
             before = rows.get(image) or inherited.get(image) or LabelRow(image, {})
             rows[image] = before.with_points(changes)
         bodyparts = dict.fromkeys([*merged.bodyparts, *(part for named in points.values() for part in named)])
@@ -158,11 +196,33 @@ class LabelStore:
         atomic_write_text(self.csv_path(video), text)
 
     def add_image(self, video: str, name: str, image: ImageArray) -> Path:
-        """Save a frame of a video (RGB uint8 (H, W, 3)) under a name (see `image_name`); its path."""
+        """Save a frame of a video as an image file.
+
+        Parameters
+        ----------
+        video : str
+            Stem, the name of the folder, which is made if needed.
+        name : str
+            File name, see `image_name`.
+        image : ndarray of uint8
+            (H, W, 3), RGB.
+
+        Returns
+        -------
+        Path
+            The image file.
+
+        Raises
+        ------
+        LabelError
+            The image cannot be encoded.
+        OSError
+            The file cannot be written.
+        """
         path = self.labels_dir / video / name
         coded, data = cv2.imencode(path.suffix, cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
         if not coded:
-            raise LabelError(f"{path}: expected a picture that can be saved, got {image.shape}")
+            raise LabelError(f"{path}: expected an image that can be saved, got {image.shape}")
         path.parent.mkdir(parents=True, exist_ok=True)
         atomic_write_bytes(path, data.tobytes())
         return path
@@ -177,7 +237,7 @@ class LabelStore:
 
 
 def image_name(frame: int) -> str:
-    """File name of the picture of a frame.
+    """Return the file name of a frame's image.
 
     >>> image_name(42)
     'img00042.png'
@@ -186,7 +246,7 @@ def image_name(frame: int) -> str:
 
 
 def frame_index(image: str) -> int | None:
-    """Index of the frame that a picture's name tells, None when it does not.
+    """Return the frame index in an image's name, None where there is none.
 
     >>> frame_index("img00042.png"), frame_index("img7.jpg"), frame_index("close-up.png")
     (42, 7, None)
@@ -196,24 +256,24 @@ def frame_index(image: str) -> int | None:
 
 
 def image_size_wh(path: Path) -> tuple[int, int] | None:
-    """(width, height) in px of a picture, None where the file does not open as one."""
-    return picture_size_wh(path.read_bytes())
+    """Return (width, height) in px of an image file, None where it does not open as an image."""
+    return encoded_size_wh(path.read_bytes())
 
 
-def picture_size_wh(contents: bytes) -> tuple[int, int] | None:
-    """(width, height) in px of a picture, given the contents of its file; None where they are none."""
+def encoded_size_wh(contents: bytes) -> tuple[int, int] | None:
+    """Return (width, height) in px of an encoded image, None where the bytes do not decode as an image."""
     data = np.frombuffer(contents, np.uint8)
     image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
     return None if image is None else (image.shape[1], image.shape[0])
 
 
 def label_files(folder: Path) -> list[Path]:
-    """The CollectedData CSVs of a folder, sorted."""
+    """Return the CollectedData CSVs of a folder, sorted."""
     return sorted(p for p in folder.glob("CollectedData_*.csv") if p.is_file())
 
 
 def images_in(folder: Path) -> list[Path]:
-    """The pictures of a folder in the order of their frames."""
+    """Return the images of a folder in the order of their frames."""
     if not folder.is_dir():
         return []
     found = [p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".")]
@@ -221,12 +281,22 @@ def images_in(folder: Path) -> list[Path]:
 
 
 def merge_rows(rows: Iterable[LabelRow]) -> dict[str, LabelRow]:
-    """Rows by image; an image that stands there twice is one row, if its rows agree.
+    """Merge rows by image.
+
+    Parameters
+    ----------
+    rows : iterable of LabelRow
+        Rows, several of which may be of one image.
+
+    Returns
+    -------
+    dict of str to LabelRow
+        Image name -> its row.
 
     Raises
     ------
     LabelError
-        They do not agree.
+        Rows of one image contradict each other.
     """
     merged: dict[str, LabelRow] = {}
     for row in rows:
@@ -235,7 +305,23 @@ def merge_rows(rows: Iterable[LabelRow]) -> dict[str, LabelRow]:
 
 
 def merge_row(first: LabelRow, second: LabelRow) -> LabelRow:
-    """Both rows' cells, for two rows of one image that do not contradict each other."""
+    """Merge the cells of two rows of one image.
+
+    Parameters
+    ----------
+    first, second : LabelRow
+        The rows; where both have a cell, the text of the first one is kept.
+
+    Returns
+    -------
+    LabelRow
+        The merged row.
+
+    Raises
+    ------
+    LabelError
+        The rows contradict each other.
+    """
     for cell, text in first.cells.items():
         if not same_number(text, second.cells.get(cell, text)):
             raise LabelError(
@@ -246,12 +332,12 @@ def merge_row(first: LabelRow, second: LabelRow) -> LabelRow:
 
 
 def sorted_rows(rows: Iterable[LabelRow]) -> tuple[LabelRow, ...]:
-    """Rows in the order of their frames, then of their names."""
+    """Sort rows by frame, then by image name."""
     return tuple(sorted(rows, key=lambda row: _image_order(row.image)))
 
 
 def sorted_by_frame(images: Iterable[str]) -> list[str]:
-    """Image names in the order of their frames, then of their names."""
+    """Sort image names by frame, then by name."""
     return sorted(images, key=_image_order)
 
 

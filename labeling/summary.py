@@ -1,4 +1,4 @@
-"""What the labels so far are worth: for each actuator their number, the floor of the angle error, missing angles."""
+"""Summary of the labels: for each actuator their number, the floor of the angle error, and gaps in the angles."""
 
 from __future__ import annotations
 
@@ -10,24 +10,37 @@ import numpy as np
 from ..tracker.angle import AngleDefinition, bending_angle, end_vector_px, label_noise_floor_deg
 from ..tracker.project import Project
 from .annotations import VideoFolder
-from .repeats import Spread
+from .repeatability import Repeatability
 
-# Where nobody has labelled twice: a careful hand on a sharp picture.
+# Assumed where no frame was labelled twice: a careful labeller on a sharp image.
 ASSUMED_SIGMA_PX = 1.0
 
 
 def labels_summary(
-    project: Project, folders: Sequence[VideoFolder], definition: AngleDefinition, spread: Spread | None
+    project: Project,
+    folders: Sequence[VideoFolder],
+    definition: AngleDefinition,
+    repeatability: Repeatability | None,
 ) -> dict[str, Any]:
-    """Figures for the page, JSON-ready; lengths px, angles degrees, None where not known.
+    """Summarise the labels of a project.
 
     Parameters
     ----------
-    folders : all of the project
-    definition : its angle
-    spread : the labeller's own, if it was measured
+    project : Project
+        The project.
+    folders : sequence of VideoFolder
+        All folders of the project.
+    definition : AngleDefinition
+        Its angle.
+    repeatability : Repeatability or None
+        The labeller's repeatability, None where it was not measured.
+
+    Returns
+    -------
+    dict of str to Any
+        JSON-ready figures, see GET /api/summary in page/API.md. Lengths in px, angles in degrees, None where unknown.
     """
-    sigma = spread.px if spread is not None else ASSUMED_SIGMA_PX
+    sigma = repeatability.px if repeatability is not None else ASSUMED_SIGMA_PX
     by_actuator: dict[str, list[VideoFolder]] = {}
     for folder in folders:
         by_actuator.setdefault(project.actuator_of(folder.video), []).append(folder)
@@ -37,12 +50,12 @@ def labels_summary(
                 "name": name,
                 "n_frames": sum(len(folder.states) for folder in by_actuator[name]),
                 "sigma_px": round(sigma, 3),
-                "sigma_measured": spread is not None,
+                "sigma_measured": repeatability is not None,
                 **_figures(by_actuator[name], project.keypoints, definition, sigma),
             }
             for name in sorted(by_actuator)
         ],
-        "spread": None if spread is None else spread.to_json(),
+        "spread": None if repeatability is None else repeatability.to_json(),
     }
 
 

@@ -128,7 +128,7 @@ def test_another_video_of_the_same_name_gets_a_folder_of_its_own(
     for repeat in (1, 2):
         ran = bendtrack("frames", empty, reversed_arm, "--count", 5)
         assert ran.status == 0
-        assert "pictures named 'arm' belong to another video, so these are named 'arm-" in ran.err
+        assert "images named 'arm' belong to another video, so these are named 'arm-" in ran.err
         folders = sorted(folder.name for folder in (empty / "labeled-data").iterdir())
         assert len(folders) == 2
         assert len(saved(empty, folders[1])) == 5 * repeat
@@ -153,13 +153,13 @@ def test_one_video_that_cannot_be_read_is_status_1_and_the_others_are_done(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--count", "0"), "expected at least 1 frame to choose, got 0"),
+        (("--count", "0"), "expected at least 1 frame to select, got 0"),
         (("--by", "pressure"), "expected pressure logs, got none"),
         (("--by", "colour"), "Invalid value for '--by'"),
         (("--pressure", "nowhere.csv"), "nowhere.csv"),
         (
             ("--pressure", "a.csv", "--pressure", "b.csv"),
-            "one pressure log a video, in the same order, got 2 logs",
+            "one pressure log for each video, in the same order, got 2 logs",
         ),
         (("--pressure", "a.csv", "--by", "time"), "expected no pressure log with frames by time"),
         (("--actuator", "=x"), "actuator name"),

@@ -47,7 +47,7 @@ def test_what_is_left_out_is_said_and_is_status_1(bendtrack, project: Project, t
     ran = bendtrack("import", tmp_path / "new", source)
     assert ran.status == 1
     assert "9 labelled frames imported" in ran.out
-    assert "left out: arm/img00003.png: no such picture" in ran.err
+    assert "left out: arm/img00003.png: no such image" in ran.err
 
 
 def test_render_gives_a_trial_and_labels_that_import_takes(bendtrack, tmp_path: Path) -> None:

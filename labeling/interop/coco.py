@@ -1,15 +1,15 @@
-"""COCO keypoints: one json of images, categories and annotations, and pictures beside it. In and out.
+"""Importing and exporting COCO keypoints: one JSON of images, categories and annotations, and images next to it.
 
 The format is that of cocodataset.org (Data format, Keypoint Detection): an annotation has `keypoints`
 [x1, y1, v1, ...], v = 0 not labelled, 1 labelled but hidden, 2 labelled and visible; a category names the
 keypoints and pairs them, counted from 1, into a skeleton. CVAT and Label Studio write it too.
 
-Positions. COCO's keypoints are indices of pixels, so (0, 0) is the centre of the top-left pixel as everywhere
-here, and they are used as they are; readers such as Detectron2 add 0.5 to keypoints, and not to boxes, for that
-reason. Boxes are measured from the picture's corner. CVAT and Label Studio measure points from the corner as
-well: theirs are 0.5 px too large in x and y, alike for all points, which no bending angle depends on.
+Positions. COCO's keypoints are indices of pixels, so (0, 0) is the centre of the top-left pixel, and they are used as
+they are. For that reason readers such as Detectron2 add 0.5 to keypoints, but not to boxes, which are measured from the
+image's corner. CVAT and Label Studio measure points from the corner, too: theirs are 0.5 px too large in x and y. The
+offset is the same for all points, so no bending angle depends on it.
 
-Actuators. One annotation a picture; its category is the actuator.
+Actuators. Each image has one annotation; its category is the actuator.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from ...tracker.errors import LabelError
 from ...tracker.project import Project
 from ...tracker.types import FloatArray
 from ..label_table import LabelRow
-from .exporting import ExportReport, copy_pictures, labelled_videos, new_folder, skeleton_edges
-from .source import PictureFinder, Source, SourceVideo, distinct_names, foreign_path
+from .exporting import ExportReport, copy_images, labelled_videos, new_folder, skeleton_edges
+from .source import ImageFinder, Source, SourceVideo, distinct_names, foreign_path
 
 _ACTUATOR = "actuator"  # the supercategory of our categories
 _ANNOTATIONS, _IMAGES = "annotations", "images"
-# The name under which CVAT takes such a file back.
+# The file name that CVAT accepts for import.
 _FILE = "person_keypoints_default.json"
 
 
@@ -41,17 +41,17 @@ _FILE = "person_keypoints_default.json"
 
 @dataclass
 class _Found:
-    """What has been read so far, over all files."""
+    """What has been read so far from all files."""
 
     keypoints: dict[str, None] = field(default_factory=dict)
-    pictures: list[_Picture] = field(default_factory=list)
+    images: list[_CocoImage] = field(default_factory=list)
     skipped: list[str] = field(default_factory=list)
     hidden: int = 0
 
 
 @dataclass(frozen=True)
-class _Picture:
-    """An image of the json, its path made safe, and its points."""
+class _CocoImage:
+    """An image of the JSON, with a safe path, and its points."""
 
     name: PurePosixPath
     written: str
@@ -61,20 +61,27 @@ class _Picture:
 
 
 def open_coco(path: str | Path, images: str | Path | None = None) -> Source:
-    """Read a json of COCO keypoints, or all of them in a folder or its annotations/.
+    """Read a JSON file of COCO keypoints, or all of them in a folder or its annotations/.
 
-    A folder in an image's `file_name` is the video; images without one belong to a video named after the folder
-    of the json. A folder that shows several categories becomes one video for each.
+    The folder in an image's `file_name` is the video. Images without one belong to a video named after the folder of
+    the JSON file. A folder with several categories becomes one video for each.
 
     Parameters
     ----------
-    path : file or folder
-    images : where the pictures are; None looks beside the json, and in images/ there
+    path : str or Path
+        File or folder.
+    images : str, Path or None, optional
+        Folder of the images; None looks next to the JSON file, and in images/ there.
+
+    Returns
+    -------
+    Source
+        The images and labels.
 
     Raises
     ------
     LabelError
-        Not such a file, or no labelled keypoints in it.
+        The file has another format, or no labelled keypoints.
     """
     path = Path(path)
     files = coco_files(path) if path.is_dir() else [path]
@@ -84,10 +91,10 @@ def open_coco(path: str | Path, images: str | Path | None = None) -> Source:
     found, ours = _Found(), True
     for file in files:
         ours &= _read(file, found)
-    if not any(picture.cells for picture in found.pictures):
+    if not any(image.cells for image in found.images):
         reasons = f" ({found.skipped[0]})" if found.skipped else ""
         raise LabelError(f"{path}: expected labelled COCO keypoints, got none{reasons}")
-    finder = PictureFinder([Path(images)] if images is not None else [root])
+    finder = ImageFinder([Path(images)] if images is not None else [root])
     warnings = []
     if found.hidden:
         warnings.append(f"{found.hidden} points are marked as hidden (v = 1); their positions are taken")
@@ -96,9 +103,9 @@ def open_coco(path: str | Path, images: str | Path | None = None) -> Source:
 
 
 def coco_files(folder: Path) -> list[Path]:
-    """The json files of a folder, or else of its annotations/, that hold COCO keypoints."""
-    for place in (folder, folder / _ANNOTATIONS):
-        files = [file for file in sorted(place.glob("*.json")) if _holds_keypoints(file)]
+    """Return the JSON files of a folder, or else of its annotations/, that hold COCO keypoints."""
+    for subfolder in (folder, folder / _ANNOTATIONS):
+        files = [file for file in sorted(subfolder.glob("*.json")) if _holds_keypoints(file)]
         if files:
             return files
     return []
@@ -125,7 +132,7 @@ def _document(file: Path) -> dict[str, Any]:
 
 
 def _read(file: Path, found: _Found) -> bool:
-    """Add what a file holds; whether its categories are actuators by bendtrack's own word."""
+    """Add a file's contents to `found`; return whether its categories are marked as bendtrack's actuators."""
     document = _document(file)
     images, annotations, categories = (
         _entries(document, key, file) for key in ("images", "annotations", "categories")
@@ -151,7 +158,7 @@ def _read(file: Path, found: _Found) -> bool:
         written = image.get("file_name")
         if not isinstance(written, str) or not foreign_path(written).name:
             raise LabelError(f"{file}: expected every image to have a file_name, got {str(image)[:60]}")
-        found.pictures.append(_picture(written, by_image.pop(image.get("id"), []), kinds, file, found))
+        found.images.append(_image(written, by_image.pop(image.get("id"), []), kinds, file, found))
     if by_image:
         found.skipped.append(
             f"{file.name}: {sum(map(len, by_image.values()))} annotations of images that it does not list"
@@ -166,18 +173,18 @@ def _entries(document: Mapping[str, Any], key: str, file: Path) -> list[dict[str
     return value
 
 
-def _picture(
+def _image(
     written: str,
     annotations: Sequence[Mapping[str, Any]],
     kinds: Mapping[Any, Mapping[str, Any]],
     file: Path,
     found: _Found,
-) -> _Picture:
+) -> _CocoImage:
     labelled = []
     for annotation in annotations:
         kind = kinds.get(annotation.get("category_id"))
         if kind is None:
-            continue  # a box or an outline beside the points
+            continue  # a box or an outline without points
         where = f"{file.name} annotation {annotation.get('id')}"
         try:
             cells, n_hidden = _cells(annotation.get("keypoints", []), kind["keypoints"])
@@ -187,16 +194,16 @@ def _picture(
         if cells:
             labelled.append((cells, n_hidden, str(kind.get("name", "")), where))
     if len(labelled) > 1:
-        found.skipped.append(f"{written}: expected one actuator a picture, got {len(labelled)}")
+        found.skipped.append(f"{written}: expected one actuator in each image, got {len(labelled)}")
     if len(labelled) != 1:
-        return _Picture(foreign_path(written), written, {}, None, str(file))
+        return _CocoImage(foreign_path(written), written, {}, None, str(file))
     cells, n_hidden, category, where = labelled[0]
     found.hidden += n_hidden
-    return _Picture(foreign_path(written), written, cells, category, where)
+    return _CocoImage(foreign_path(written), written, cells, category, where)
 
 
 def _cells(values: Any, names: Sequence[str]) -> tuple[dict[tuple[str, str], str], int]:
-    """Label cells of one annotation, and how many of its points are hidden."""
+    """Return the label cells of one annotation, and the number of its hidden points."""
     if not isinstance(values, list) or len(values) not in (0, 3 * len(names)):
         got = len(values) if isinstance(values, list) else str(values)[:40]
         raise LabelError(f"expected {3 * len(names)} numbers as keypoints (x, y, v each), got {got}")
@@ -219,27 +226,27 @@ def _number(value: int | float) -> str:
         return str(value)
 
 
-def _videos(found: _Found, default: str, finder: PictureFinder, ours: bool) -> list[SourceVideo]:
-    """Pictures by the folder that they lie in, and by category where a folder shows several."""
-    folders = {picture.name: _folder(picture.name, default) for picture in found.pictures}
+def _videos(found: _Found, default: str, finder: ImageFinder, ours: bool) -> list[SourceVideo]:
+    """Group images by their folder, and by category where a folder shows several."""
+    folders = {image.name: _folder(image.name, default) for image in found.images}
     shown: dict[PurePosixPath, set[str]] = defaultdict(set)
-    for picture in found.pictures:
-        if picture.category is not None:
-            shown[folders[picture.name]].add(picture.category)
+    for image in found.images:
+        if image.category is not None:
+            shown[folders[image.name]].add(image.category)
     several = len(set().union(*shown.values())) > 1
-    groups: dict[tuple[PurePosixPath, str | None], list[_Picture]] = defaultdict(list)
-    for picture in found.pictures:
-        folder = folders[picture.name]
+    groups: dict[tuple[PurePosixPath, str | None], list[_CocoImage]] = defaultdict(list)
+    for image in found.images:
+        folder = folders[image.name]
         actuator = next(iter(shown[folder]), None)
         if len(shown[folder]) > 1:
-            actuator = picture.category
+            actuator = image.category
             if actuator is not None:
                 folder = folder.with_name(f"{folder.name}_{actuator.replace('/', '_')}")
-        groups[folder, actuator].append(picture)
+        groups[folder, actuator].append(image)
     videos = distinct_names(folder for folder, _ in groups)
     return [
-        _video(videos[folder], pictures, finder, actuator if ours or several else None, found.skipped)
-        for (folder, actuator), pictures in groups.items()
+        _video(videos[folder], images, finder, actuator if ours or several else None, found.skipped)
+        for (folder, actuator), images in groups.items()
     ]
 
 
@@ -252,24 +259,24 @@ def _folder(name: PurePosixPath, default: str) -> PurePosixPath:
 
 def _video(
     video: str,
-    pictures: Sequence[_Picture],
-    finder: PictureFinder,
+    images: Sequence[_CocoImage],
+    finder: ImageFinder,
     actuator: str | None,
     skipped: list[str],
 ) -> SourceVideo:
-    names = distinct_names(picture.name for picture in pictures)
+    names = distinct_names(image.name for image in images)
     rows, files = [], {}
-    for picture in pictures:
-        image = names[picture.name]
+    for image in images:
+        name = names[image.name]
         try:
-            path = finder.find(picture.written)
+            path = finder.find(image.written)
         except LabelError as error:
-            skipped.append(f"{video}/{image}: {error}")
+            skipped.append(f"{video}/{name}: {error}")
             continue
         if path is not None:
-            files[image] = path.read_bytes
-        if picture.cells:
-            rows.append(LabelRow(image, picture.cells, video, picture.where))
+            files[name] = path.read_bytes
+        if image.cells:
+            rows.append(LabelRow(name, image.cells, video, image.where))
     return SourceVideo(video, tuple(rows), files, finder.where, actuator)
 
 
@@ -277,20 +284,27 @@ def _video(
 
 
 def export_coco(project: Project, out: str | Path) -> ExportReport:
-    """Write images/<video>/ and annotations/person_keypoints_default.json, which CVAT and others take as it is.
+    """Write images/<video>/ and annotations/person_keypoints_default.json, which CVAT and others import.
 
-    Pictures are copied byte for byte, positions keep every digit: importing the outcome gives the same labels.
-    The folder appears whole or not at all.
+    Images are copied byte for byte, positions keep every digit: importing the result gives the same labels.
+    The folder is created as a whole or not at all.
 
     Parameters
     ----------
-    project : whose labels
-    out : must not exist, or be empty
+    project : Project
+        Project whose labels are written.
+    out : str or Path
+        The new folder; must not exist, or be empty.
+
+    Returns
+    -------
+    ExportReport
+        What was written.
 
     Raises
     ------
     LabelError
-        Nothing is labelled, the labels are malformed, or `out` has something in it.
+        Nothing is labelled, the labels are malformed, or `out` is not empty.
     OSError
         The folder cannot be written.
     """
@@ -303,18 +317,18 @@ def export_coco(project: Project, out: str | Path) -> ExportReport:
     annotations: list[dict[str, Any]] = []
     with new_folder(Path(out)) as folder:
         for video in videos:
-            copy_pictures(video, folder / _IMAGES / video.video)
-            for picture in video.pictures:
+            copy_images(video, folder / _IMAGES / video.video)
+            for image in video.images:
                 image_id = len(images) + 1
                 images.append(
                     {
                         "id": image_id,
                         "width": video.size_wh[0],
                         "height": video.size_wh[1],
-                        "file_name": f"{video.video}/{picture.name}",
+                        "file_name": f"{video.video}/{image.name}",
                     }
                 )
-                if picture.name in video.xy:
+                if image.name in video.xy:
                     category = actuators.index(video.actuator) + 1
                     annotations.append(
                         {
@@ -322,7 +336,7 @@ def export_coco(project: Project, out: str | Path) -> ExportReport:
                             "image_id": image_id,
                             "category_id": category,
                             "iscrowd": 0,
-                            **_annotation(video.xy[picture.name]),
+                            **_annotation(video.xy[image.name]),
                         }
                     )
         document = {
@@ -349,7 +363,7 @@ def export_coco(project: Project, out: str | Path) -> ExportReport:
 
 
 def _annotation(xy: FloatArray) -> dict[str, Any]:
-    """Points of one picture. The box, measured from the picture's corner, holds the pixels of all of them."""
+    """Return the annotation of one image's points; the box, from the image's corner, contains all their pixels."""
     keypoints = []
     for x, y in xy.tolist():
         keypoints += [0, 0, 0] if np.isnan(x) else [x, y, 2]

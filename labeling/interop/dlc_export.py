@@ -1,6 +1,6 @@
-"""A project's labels as a DeepLabCut project: a new folder with config.yaml, pictures, and labels.
+"""Exporting a project's labels as a DeepLabCut project: a new folder with config.yaml, images, and labels.
 
-The way back is in `dlc.py`. benchmarks/deeplabcut_opens.py shows DeepLabCut itself using what is written here.
+The import is in `dlc.py`. benchmarks/deeplabcut_opens.py opens the result with DeepLabCut itself.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ..label_table import LabelRow, format_label_table
 from .exporting import (
     ExportReport,
     LabelledVideo,
-    copy_pictures,
+    copy_images,
     labelled_videos,
     new_folder,
     skeleton_edges,
@@ -28,22 +28,30 @@ from .importing import by_stem
 
 
 def export_dlc(project: Project, out: str | Path, *, videos: Sequence[str | Path] = ()) -> ExportReport:
-    """Write a DeepLabCut project that holds the project's pictures and labels.
+    """Write a DeepLabCut project that holds the project's images and labels.
 
-    Pictures are copied byte for byte, labels keep every digit: importing the outcome gives the same labels.
-    The folder appears whole or not at all.
+    Images are copied byte for byte, labels keep every digit: importing the result gives the same labels.
+    The folder is created as a whole or not at all.
 
     Parameters
     ----------
-    project : whose labels
-    out : the DeepLabCut project's folder; must not exist, or be empty
-    videos : video files to name in config.yaml (they are not copied); one that is not given is named as if it
-        lay in the new project's videos/ (DeepLabCut trains without it)
+    project : Project
+        Project whose labels are written.
+    out : str or Path
+        The DeepLabCut project's folder; must not exist, or be empty.
+    videos : sequence of str or Path, optional
+        Video files to list in config.yaml; they are not copied. A video that is not given is listed as if it were in
+        the new project's videos/. DeepLabCut trains without it.
+
+    Returns
+    -------
+    ExportReport
+        What was written.
 
     Raises
     ------
     LabelError
-        Nothing is labelled, the labels are malformed, `out` has something in it, or two videos have one name.
+        Nothing is labelled, the labels are malformed, `out` is not empty, or two videos have one name.
     OSError
         The folder cannot be written.
     """
@@ -68,7 +76,7 @@ def export_dlc(project: Project, out: str | Path, *, videos: Sequence[str | Path
 
 
 def _write_labels(project: Project, video: LabelledVideo, folder: Path, report: ExportReport) -> None:
-    copy_pictures(video, folder)
+    copy_images(video, folder)
     if not video.table.rows:
         return
     coordinates = [(name, coord) for name in project.keypoints for coord in ("x", "y")]
@@ -86,7 +94,7 @@ def _write_labels(project: Project, video: LabelledVideo, folder: Path, report: 
 
 
 def _write_h5(path: Path, rows: list[LabelRow], project: Project, video: str) -> str | None:
-    """The same labels in DeepLabCut's HDF5 form; a warning instead where PyTables is not installed."""
+    """Write the same labels as DeepLabCut's HDF5; return a warning where PyTables is not installed."""
     try:
         import tables  # noqa: F401
     except ImportError:
@@ -108,7 +116,7 @@ def _write_h5(path: Path, rows: list[LabelRow], project: Project, video: str) ->
 
 
 def _config(project: Project, out: Path, video_sets: dict[str, Any]) -> dict[str, Any]:
-    """DeepLabCut's keys with its default values. It corrects project_path itself when a project is moved."""
+    """Return DeepLabCut's settings with its default values. It corrects project_path itself in a moved project."""
     today = datetime.date.today()
     keypoints = list(project.keypoints)
     return {

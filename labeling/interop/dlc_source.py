@@ -1,6 +1,6 @@
-"""Finding what a DeepLabCut project, a labeled-data folder or a label file holds, before any of it is used.
+"""Reading a DeepLabCut project, a labeled-data folder or a label file.
 
-What becomes of it is in `importing.py`.
+Importing what was read is in `importing.py`.
 """
 
 from __future__ import annotations
@@ -17,17 +17,27 @@ from ..label_table import LabelRow, LabelTable, read_label_table
 from ..store import images_in, label_files
 from .source import Source, SourceVideo
 
-# The folders that DeepLabCut's check_labels fills with pictures on which the labels are drawn.
+# The folders that DeepLabCut's check_labels fills with images on which the labels are drawn.
 _DRAWN_SUFFIX = "_labeled"
 
 
-def open_source(path: str | Path) -> Source:
-    """Look into a DeepLabCut project, a folder with labeled-data/, such a folder itself, or a label file.
+def open_dlc(path: str | Path) -> Source:
+    """Read a DeepLabCut project, a folder with labeled-data/, such a folder itself, or a label file.
+
+    Parameters
+    ----------
+    path : str or Path
+        The folder or file.
+
+    Returns
+    -------
+    Source
+        Its images and labels.
 
     Raises
     ------
     LabelError
-        None of these, no labels in it, a multi-animal project, or a malformed file.
+        The path is none of these, or it has no labels, is a multi-animal project, or holds a malformed file.
     """
     path = Path(path)
     if path.is_file():
@@ -35,7 +45,7 @@ def open_source(path: str | Path) -> Source:
         by_video: dict[str, list[LabelRow]] = defaultdict(list)
         for row in table.rows:
             by_video[row.video or path.resolve().parent.name].append(row)
-        videos = [_video(video, _pictures_of(path, video), rows) for video, rows in by_video.items()]
+        videos = [_video(video, _images_folder(path, video), rows) for video, rows in by_video.items()]
         return _checked(Source(path, table.bodyparts, None, tuple(videos)))
     if not path.is_dir():
         raise LabelError(
@@ -59,8 +69,8 @@ def open_source(path: str | Path) -> Source:
 
 
 def _video(video: str, folder: Path, rows: Sequence[LabelRow]) -> SourceVideo:
-    pictures = {picture.name: picture.read_bytes for picture in images_in(folder)}
-    return SourceVideo(video, tuple(rows), pictures, str(folder))
+    images = {path.name: path.read_bytes for path in images_in(folder)}
+    return SourceVideo(video, tuple(rows), images, str(folder))
 
 
 def _checked(source: Source) -> Source:
@@ -80,14 +90,14 @@ def _label_folders(path: Path) -> list[Path]:
 
 
 def _h5_or_csv(folder: Path) -> list[Path]:
-    """Label files of a folder; an .h5 only where the CSV that says the same is missing."""
+    """Return the label files of a folder; an .h5 file only where its CSV is missing."""
     csvs = label_files(folder)
     lone = [file for file in folder.glob("CollectedData_*.h5") if file.with_suffix(".csv") not in csvs]
     return [*csvs, *sorted(lone)]
 
 
-def _pictures_of(label_file: Path, video: str) -> Path:
-    """Folder of the pictures that a label file names: beside it, or in labeled-data/ beside it."""
+def _images_folder(label_file: Path, video: str) -> Path:
+    """Return the folder of a label file's images: its own, or one in labeled-data/ next to it."""
     parent = label_file.resolve().parent
     return parent if parent.name == video else parent / "labeled-data" / video
 
@@ -119,12 +129,22 @@ def _read(path: Path, scorer: str | None) -> LabelTable:
 
 
 def read_h5_table(path: Path) -> LabelTable:
-    """Labels of DeepLabCut's .h5, which is a pandas table in PyTables' form.
+    """Read the labels of DeepLabCut's .h5, which is a pandas table written by PyTables.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    LabelTable
+        Its rows and body parts.
 
     Raises
     ------
     LabelError
-        PyTables is not installed, or the file is none of DeepLabCut's.
+        PyTables is not installed, or the file is not one of DeepLabCut's.
     """
     import pandas as pd
 

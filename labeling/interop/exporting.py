@@ -1,6 +1,6 @@
-"""Out of our project into a foreign one: what every format's export has in common.
+"""Exporting a project to a foreign format: the parts that all formats share.
 
-Each format's own file says what it writes.
+What each format writes is in its own file.
 """
 
 from __future__ import annotations
@@ -23,7 +23,17 @@ from ..store import LabelStore, image_size_wh
 
 @dataclass
 class ExportReport:
-    """What an export wrote: numbers of labelled frames and of pictures, and what the user should know."""
+    """Outcome of an export.
+
+    Attributes
+    ----------
+    labelled : int
+        Number of labelled frames.
+    images : int
+        Number of images.
+    warnings : list of str
+        Warnings, one line each.
+    """
 
     labelled: int = 0
     images: int = 0
@@ -32,33 +42,52 @@ class ExportReport:
 
 @dataclass(frozen=True)
 class LabelledVideo:
-    """One video's pictures and labels, ready to be written in any form.
+    """One video's images and labels, to be written in any format.
 
     Attributes
     ----------
-    video : stem
-    actuator : which it shows
-    pictures : all of them, labelled or not, in the order of their frames
-    table : its rows merged over the label files
-    xy : image name -> (K, 2) px in the order of the project's keypoints, NaN where not labelled; no row, no entry
-    size_wh : of the first picture, px
+    video : str
+        Stem of the video.
+    actuator : str
+        The actuator that it shows.
+    images : tuple of Path
+        All images, labelled or not, in the order of their frames.
+    table : LabelTable
+        Its rows, merged over the label files.
+    xy : dict of str to ndarray of float
+        Image name -> (K, 2) px in the order of the project's keypoints, NaN where not labelled; no row, no
+        entry.
+    size_wh : tuple of int
+        (width, height) of the first image, px.
     """
 
     video: str
     actuator: str
-    pictures: tuple[Path, ...]
+    images: tuple[Path, ...]
     table: LabelTable
     xy: dict[str, FloatArray]
     size_wh: tuple[int, int]
 
 
 def labelled_videos(project: Project, report: ExportReport) -> list[LabelledVideo]:
-    """Everything that there is to export; the report gets the counts and what cannot go out.
+    """Collect everything to export.
+
+    Parameters
+    ----------
+    project : Project
+        The project.
+    report : ExportReport
+        Gets the counts, and warnings of what cannot be exported.
+
+    Returns
+    -------
+    list of LabelledVideo
+        The videos with images, by stem.
 
     Raises
     ------
     LabelError
-        Nothing is labelled, the labels are malformed, or a picture does not open.
+        Nothing is labelled, the labels are malformed, or an image does not open.
     """
     store = LabelStore.of(project)
     frames = store.read()
@@ -67,45 +96,65 @@ def labelled_videos(project: Project, report: ExportReport) -> list[LabelledVide
     report.labelled = len(frames)
     videos = []
     for video in store.videos():
-        pictures = tuple(store.images(video))
-        if not pictures:
+        images = tuple(store.images(video))
+        if not images:
             continue
-        size_wh = image_size_wh(pictures[0])
+        size_wh = image_size_wh(images[0])
         if size_wh is None:
-            raise LabelError(f"expected a picture, got a file that does not open as one: {pictures[0]}")
+            raise LabelError(f"expected an image, got a file that does not open as one: {images[0]}")
         table = store.table(video)
         dropped = [name for name in table.bodyparts if name not in store.keypoints]
         if dropped:
             report.warnings.append(f"{video}: labels of {', '.join(dropped)} are no keypoints, not exported")
         xy = {frame.image_path.name: frame.xy for frame in frames if frame.video == video}
-        videos.append(LabelledVideo(video, project.actuator_of(video), pictures, table, xy, size_wh))
-        report.images += len(pictures)
+        videos.append(LabelledVideo(video, project.actuator_of(video), images, table, xy, size_wh))
+        report.images += len(images)
     return videos
 
 
 def skeleton_edges(project: Project) -> list[tuple[str, str]]:
-    """Neighbours along the actuator, base to tip: what other programs draw lines between."""
+    """Return the edges between neighbouring keypoints along the actuator, base to tip."""
     return list(pairwise(project.keypoints))
 
 
-def warn_of_actuators(videos: list[LabelledVideo], form: str, report: ExportReport) -> None:
-    """Say that a form has no place for which video shows which actuator, where there is more than one."""
+def warn_of_actuators(videos: list[LabelledVideo], target: str, report: ExportReport) -> None:
+    """Warn that a format cannot store which video shows which actuator, where there are several actuators.
+
+    Parameters
+    ----------
+    videos : list of LabelledVideo
+        The videos to export.
+    target : str
+        Name of the foreign project, such as "a DeepLabCut project".
+    report : ExportReport
+        Gets the warning.
+    """
     actuators = sorted({video.actuator for video in videos})
     if len(actuators) > 1:
         report.warnings.append(
-            f"{form} has no place for which video shows which actuator ({', '.join(actuators)}): "
+            f"{target} cannot store which video shows which actuator ({', '.join(actuators)}): "
             "keep bendtrack.toml"
         )
 
 
 @contextmanager
 def new_folder(out: Path) -> Iterator[Path]:
-    """Yield a folder to fill; it becomes `out` when the block ends well, whole or not at all.
+    """Yield a temporary folder to fill; it is renamed to `out` when the block ends without an error.
+
+    Parameters
+    ----------
+    out : Path
+        The final folder; must not exist, or be empty.
+
+    Yields
+    ------
+    Path
+        The temporary folder.
 
     Raises
     ------
     LabelError
-        `out` has something in it.
+        `out` is not empty.
     OSError
         The folder cannot be written.
     """
@@ -126,8 +175,8 @@ def new_folder(out: Path) -> Iterator[Path]:
         raise
 
 
-def copy_pictures(video: LabelledVideo, folder: Path) -> None:
-    """All pictures of a video, byte for byte, into a new folder."""
+def copy_images(video: LabelledVideo, folder: Path) -> None:
+    """Copy all images of a video, byte for byte, to a new folder."""
     folder.mkdir(parents=True)
-    for picture in video.pictures:
-        shutil.copyfile(picture, folder / picture.name)
+    for path in video.images:
+        shutil.copyfile(path, folder / path.name)

@@ -1,6 +1,6 @@
-"""Which form foreign labels have, and the way in and out for each.
+"""Foreign label formats: detecting the format, and reading and writing labels in each.
 
-What the forms look like is in their own files.
+Each format is in its own file.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from ...tracker.errors import LabelError
 from ...tracker.project import Project
 from .coco import coco_files, export_coco, open_coco
 from .dlc_export import export_dlc
-from .dlc_source import open_source
+from .dlc_source import open_dlc
 from .exporting import ExportReport
 from .lightning_pose import export_lightning_pose, has_visible_column, label_csvs, open_lightning_pose
 from .sleap import export_sleap, open_sleap
@@ -21,27 +21,37 @@ from .source import Source
 FORMATS = ("dlc", "coco", "sleap", "lightning-pose")
 
 
-def open_labels(path: str | Path, form: str | None = None, images: str | Path | None = None) -> Source:
+def open_labels(
+    path: str | Path, label_format: str | None = None, images: str | Path | None = None
+) -> Source:
     """Read foreign labels.
 
     Parameters
     ----------
-    path : a file or a folder
-    form : one of `FORMATS`; None recognises it
-    images : where the pictures (for SLEAP, also the videos) are that the labels name; None looks beside them
+    path : str or Path
+        A file or a folder.
+    label_format : str or None, optional
+        One of `FORMATS`; None detects it.
+    images : str, Path or None, optional
+        Folder of the images (for SLEAP, also of the videos) that the labels name; None looks next to the labels.
+
+    Returns
+    -------
+    Source
+        The foreign project's labels.
 
     Raises
     ------
     LabelError
-        Nothing is there, an unknown form, or labels that cannot be read.
+        The path does not exist, the format is unknown, or the labels cannot be read.
     """
     path = Path(path)
     if not path.exists():
         raise LabelError(f"expected labels to import, got a path where nothing is: {path}")
     if images is not None and not Path(images).is_dir():
-        raise LabelError(f"expected a folder of pictures, got {images}")
-    form = _known(form) if form is not None else recognise(path)
-    match form:
+        raise LabelError(f"expected a folder of images, got {images}")
+    label_format = _known(label_format) if label_format is not None else detect_format(path)
+    match label_format:
         case "coco":
             return open_coco(path, images)
         case "sleap":
@@ -49,20 +59,30 @@ def open_labels(path: str | Path, form: str | None = None, images: str | Path | 
         case "lightning-pose":
             return open_lightning_pose(path, images)
     if images is not None:
-        raise LabelError(f"{path}: DeepLabCut's pictures lie beside its labels, expected no folder for them")
-    return open_source(path)
+        raise LabelError(f"{path}: DeepLabCut's images are next to its labels, expected no folder for them")
+    return open_dlc(path)
 
 
-def recognise(path: Path) -> str:
-    """The form, one of `FORMATS`, of a file or folder that is there.
+def detect_format(path: Path) -> str:
+    """Detect the format of labels.
 
-    A folder that could be several is the first of: a DeepLabCut project, a Lightning Pose project, the one .slp
-    in it, COCO. What is none of them is left to DeepLabCut's reader, whose message says what it expects.
+    A folder that matches several formats is the first of: a DeepLabCut project, a Lightning Pose project, a folder of
+    one .slp file, COCO. Anything else counts as DeepLabCut's, whose reader says what it expects.
+
+    Parameters
+    ----------
+    path : Path
+        A file or folder that exists.
+
+    Returns
+    -------
+    str
+        One of `FORMATS`.
 
     Raises
     ------
     LabelError
-        An archive, or a folder with several .slp files.
+        The file is an archive.
     """
     if path.is_file():
         if path.suffix.lower() in (".zip", ".gz", ".tar", ".7z"):
@@ -95,26 +115,39 @@ def _the_slp(path: Path) -> Path:
 
 
 def export_labels(
-    project: Project, out: str | Path, form: str | None = None, *, videos: Sequence[str | Path] = ()
+    project: Project, out: str | Path, label_format: str | None = None, *, videos: Sequence[str | Path] = ()
 ) -> ExportReport:
-    """Write the labels in a foreign form.
+    """Write the labels in a foreign format.
 
     Parameters
     ----------
-    project : whose labels
-    out : a new folder; for SLEAP a new .slp file
-    form : one of `FORMATS`; None is SLEAP for a name that ends in .slp, and else DeepLabCut
-    videos : video files that the outcome may name
+    project : Project
+        Project whose labels are written.
+    out : str or Path
+        A new folder, or for SLEAP a new .slp file.
+    label_format : str or None, optional
+        One of `FORMATS`; None is SLEAP for a name that ends in .slp, and else DeepLabCut.
+    videos : sequence of str or Path, optional
+        Video files that the exported project may refer to.
+
+    Returns
+    -------
+    ExportReport
+        What was written.
 
     Raises
     ------
     LabelError
-        An unknown form, nothing to export, or `out` is there already.
+        The format is unknown, there is nothing to export, or `out` exists already.
     OSError
         `out` cannot be written.
     """
-    form = _known(form) if form is not None else ("sleap" if Path(out).suffix == ".slp" else "dlc")
-    match form:
+    label_format = (
+        _known(label_format)
+        if label_format is not None
+        else ("sleap" if Path(out).suffix == ".slp" else "dlc")
+    )
+    match label_format:
         case "coco":
             return export_coco(project, out)
         case "sleap":
@@ -124,7 +157,7 @@ def export_labels(
     return export_dlc(project, out, videos=videos)
 
 
-def _known(form: str) -> str:
-    if form not in FORMATS:
-        raise LabelError(f"expected a format, one of {', '.join(FORMATS)}, got '{form}'")
-    return form
+def _known(label_format: str) -> str:
+    if label_format not in FORMATS:
+        raise LabelError(f"expected a format, one of {', '.join(FORMATS)}, got '{label_format}'")
+    return label_format

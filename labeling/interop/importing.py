@@ -1,6 +1,6 @@
-"""From a foreign project into ours: pictures copied, labels checked, all that is left out said.
+"""Importing a foreign project: images are copied, labels checked, and everything that is left out is reported.
 
-How each format is read is in its own file; which format it is, in `formats.py`.
+Each format is read in its own file; the format is detected in `formats.py`.
 """
 
 from __future__ import annotations
@@ -18,24 +18,31 @@ from ...tracker.project import SETTINGS_FILE, Project
 from ...tracker.project_settings import DEFAULT_ACTUATOR
 from ...tracker.video import Video, video_stem
 from ..label_table import LabelRow, Point
-from ..side_data import read_notes, write_notes
-from ..store import IMAGE_SUFFIXES, LabelStore, frame_index, image_size_wh, merge_row, picture_size_wh
-from .source import ReadPicture, Source, SourceVideo
+from ..notes_file import read_notes, write_notes
+from ..store import IMAGE_SUFFIXES, LabelStore, encoded_size_wh, frame_index, image_size_wh, merge_row
+from .source import ReadImage, Source, SourceVideo
 
 
 @dataclass
 class ImportReport:
-    """What an import did.
+    """Outcome of an import.
 
     Attributes
     ----------
-    videos : number of videos with labels in the source
-    labelled : frames whose labels were new or completed
-    unchanged : frames whose labels were in the project already, the same
-    images : pictures copied, or extracted from a video
-    unlabelled : pictures without any label, copied too so that they can be labelled
-    skipped : what was left out, "<video>/<image>: <reason>" each
-    warnings : what was taken and is worth a look
+    videos : int
+        Number of videos with labels in the source.
+    labelled : int
+        Number of frames whose labels were new or completed.
+    unchanged : int
+        Number of frames whose labels were in the project already.
+    images : int
+        Number of images copied, or extracted from a video.
+    unlabelled : int
+        Number of images without labels, copied so that they can be labelled.
+    skipped : list of str
+        What was left out, "<video>/<image>: <reason>" each.
+    warnings : list of str
+        Warnings about what was imported, one line each.
     """
 
     videos: int = 0
@@ -47,20 +54,32 @@ class ImportReport:
     warnings: list[str] = field(default_factory=list)
 
     def summary(self) -> str:
-        """One line for people."""
+        """Return one line to show."""
         return (
             f"{self.labelled} labelled frames imported, {self.unchanged} already there, "
-            f"{self.images} pictures copied, {self.unlabelled} have no labels, {len(self.skipped)} left out"
+            f"{self.images} images copied, {self.unlabelled} have no labels, {len(self.skipped)} left out"
         )
 
 
 def project_of(root: str | Path, source: Source) -> Project:
     """Open the project to import into; where there is none, create it with the source's keypoints and scorer.
 
+    Parameters
+    ----------
+    root : str or Path
+        Folder of the project.
+    source : Source
+        The labels to import.
+
+    Returns
+    -------
+    Project
+        The project.
+
     Raises
     ------
     ProjectError
-        The folder holds something else, or the source's names cannot be keypoints of a project.
+        The folder holds something else, or the source's names are not valid keypoints.
     """
     if (Path(root) / SETTINGS_FILE).exists():
         return Project.open(root)
@@ -77,17 +96,27 @@ def import_source(
     videos: Sequence[str | Path] = (),
     overwrite: bool = False,
 ) -> ImportReport:
-    """Take over the pictures and labels of a foreign project.
+    """Import the images and labels of a foreign project.
 
-    Importing again changes nothing. Labels of the project that the source contradicts stay (the whole frame)
-    and are reported, unless `overwrite`; a point that the project's frame lacks is filled in.
+    Importing again changes nothing. Where the source contradicts a frame's labels in the project, the whole frame
+    stays as it is and is reported, unless `overwrite`. A point that the project's frame lacks is added.
 
     Parameters
     ----------
-    source : what there is
-    videos : video files; a picture that the source lacks is decoded from the video of the same stem, at the
-        frame that the picture's name tells
-    overwrite : let the source's labels and pictures win
+    source : Source
+        The images and labels to import.
+    project : Project
+        The project that gets them.
+    videos : sequence of str or Path, optional
+        Video files. An image that the source lacks is decoded from the video of the same stem, at the frame index in
+        the image's name.
+    overwrite : bool, optional
+        Replace labels and images of the project that differ.
+
+    Returns
+    -------
+    ImportReport
+        What was imported, and what was left out.
 
     Raises
     ------
@@ -113,12 +142,22 @@ def import_source(
 
 
 def by_stem(videos: Sequence[str | Path]) -> dict[str, Path]:
-    """Video files by the name that their labels go by.
+    """Return video files by their stem, which their labels are named after.
+
+    Parameters
+    ----------
+    videos : sequence of str or Path
+        Video files.
+
+    Returns
+    -------
+    dict of str to Path
+        Stem -> video file.
 
     Raises
     ------
     LabelError
-        Two files have one name, so that nobody knows whose the labels are.
+        Two files have one stem, so their labels are ambiguous.
     """
     files: dict[str, Path] = {}
     for path in map(Path, videos):
@@ -150,20 +189,20 @@ def _import_video(
     source: SourceVideo, video: Path | None, store: LabelStore, overwrite: bool, report: ImportReport
 ) -> None:
     rows = _distinct(source, report)
-    pictures = source.pictures
+    images = source.images
     target = store.labels_dir / source.video
     extractable = {} if video is None else {name: i for name in rows if (i := frame_index(name)) is not None}
-    extractable = {name: i for name, i in extractable.items() if name not in pictures}
-    for name in [name for name in rows if name not in pictures and name not in extractable]:
-        report.skipped.append(f"{source.video}/{name}: no such picture in {source.where}")
+    extractable = {name: i for name, i in extractable.items() if name not in images}
+    for name in [name for name in rows if name not in images and name not in extractable]:
+        report.skipped.append(f"{source.video}/{name}: no such image in {source.where}")
         del rows[name]
 
-    sizes = _sizes(source.video, pictures, report)
+    sizes = _sizes(source.video, images, report)
     if extractable and video is not None:
         sizes |= _extract(video, extractable, source.video, store, report)
     sizes = _of_one_size(source.video, sizes, store, report)
-    for name in [name for name in sizes if name in pictures]:
-        if not _copy(pictures[name](), target / name, overwrite, source.video, report):
+    for name in [name for name in sizes if name in images]:
+        if not _copy(images[name](), target / name, overwrite, source.video, report):
             del sizes[name]
     report.unlabelled += sum(not (name in rows and rows[name].cells) for name in sizes)
 
@@ -182,7 +221,7 @@ def _import_video(
 
 
 def _distinct(source: SourceVideo, report: ImportReport) -> dict[str, LabelRow]:
-    """Rows by image. Of rows that contradict each other the first counts, the others are reported."""
+    """Return rows by image. Of rows that contradict each other the first counts; the others are reported."""
     rows: dict[str, LabelRow] = {}
     for row in source.rows:
         try:
@@ -197,18 +236,16 @@ def _distinct(source: SourceVideo, report: ImportReport) -> dict[str, LabelRow]:
     return rows
 
 
-def _sizes(
-    video: str, pictures: Mapping[str, ReadPicture], report: ImportReport
-) -> dict[str, tuple[int, int]]:
-    """(width, height) of the pictures that open."""
+def _sizes(video: str, images: Mapping[str, ReadImage], report: ImportReport) -> dict[str, tuple[int, int]]:
+    """Return (width, height) in px of the images that can be decoded."""
     sizes = {}
-    for name, read in pictures.items():
-        size = picture_size_wh(read())
+    for name, read in images.items():
+        size = encoded_size_wh(read())
         if size is None:
-            report.skipped.append(f"{video}/{name}: expected a picture, got a file that does not open as one")
+            report.skipped.append(f"{video}/{name}: expected an image, got a file that does not open as one")
         elif not name.lower().endswith(IMAGE_SUFFIXES):
             kinds = ", ".join(IMAGE_SUFFIXES)
-            report.skipped.append(f"{video}/{name}: expected a picture of one of the kinds {kinds}")
+            report.skipped.append(f"{video}/{name}: expected an image of one of the kinds {kinds}")
         else:
             sizes[name] = size
     return sizes
@@ -217,7 +254,7 @@ def _sizes(
 def _extract(
     path: Path, wanted: Mapping[str, int], video: str, store: LabelStore, report: ImportReport
 ) -> dict[str, tuple[int, int]]:
-    """Save the wanted frames that the project lacks, in one pass over the video; sizes of all it then has."""
+    """Save the wanted frames that the project lacks, in one pass over the video; return the sizes of all."""
     reader = Video(path)
     missing = {n: i for n, i in wanted.items() if not (store.labels_dir / video / n).is_file()}
     sizes = {name: reader.size_wh for name in wanted if name not in missing}
@@ -242,7 +279,7 @@ def _extract(
 def _of_one_size(
     video: str, sizes: dict[str, tuple[int, int]], store: LabelStore, report: ImportReport
 ) -> dict[str, tuple[int, int]]:
-    """Only the pictures of the video's size: that of the project's pictures, or else the most common one."""
+    """Return the images of the video's size: that of the project's images, or else the most common one."""
     if not sizes:
         return sizes
     expected = Counter(sizes.values()).most_common(1)[0][0]
@@ -251,21 +288,19 @@ def _of_one_size(
     for name, (width, height) in sizes.items():
         if (width, height) != expected:
             report.skipped.append(
-                f"{video}/{name}: expected {expected[0]} x {expected[1]} px as other pictures of this video, "
+                f"{video}/{name}: expected {expected[0]} x {expected[1]} px as other images of this video, "
                 f"got {width} x {height}"
             )
     return {name: size for name, size in sizes.items() if size == expected}
 
 
 def _copy(data: bytes, target: Path, overwrite: bool, video: str, report: ImportReport) -> bool:
-    """Copy a picture byte for byte; False where the project has another one of that name, which stays."""
+    """Copy an image byte for byte; return False where the project has another one of that name, which stays."""
     if target.is_file():
         if target.read_bytes() == data:
             return True
         if not overwrite:
-            report.skipped.append(
-                f"{video}/{target.name}: the project has another picture of that name, kept"
-            )
+            report.skipped.append(f"{video}/{target.name}: the project has another image of that name, kept")
             return False
     target.parent.mkdir(parents=True, exist_ok=True)
     atomic_write_bytes(target, data)
@@ -276,7 +311,7 @@ def _copy(data: bytes, target: Path, overwrite: bool, video: str, report: Import
 def _points_inside(
     row: LabelRow, video: str, size_wh: tuple[int, int], report: ImportReport
 ) -> dict[str, Point]:
-    """The row's points that are numbers and lie in the picture (from half a px before the first centre)."""
+    """Return the row's points that are numbers inside the image, which starts 0.5 px before the first centre."""
     points = {}
     for bodypart in dict.fromkeys(part for part, _ in row.cells):
         try:
@@ -305,12 +340,12 @@ def _merge(
     changes: dict[str, Mapping[str, Point | None]],
     report: ImportReport,
 ) -> None:
-    """Decide what becomes of a frame's labels, given what the project has for it."""
+    """Decide which labels of a frame to write, given those of the project; fills `changes` and `report`."""
     known = {name: present.point(name) for name in points} if present else {}
-    against = [name for name, point in points.items() if known.get(name) not in (None, point)]
-    if against and not overwrite:
+    conflicting = [name for name, point in points.items() if known.get(name) not in (None, point)]
+    if conflicting and not overwrite:
         report.skipped.append(
-            f"{video}/{image}: labelled otherwise in the project ({', '.join(against)}), kept"
+            f"{video}/{image}: labelled otherwise in the project ({', '.join(conflicting)}), kept"
         )
     elif any(known.get(name) != point for name, point in points.items()):
         changes[image] = points
@@ -320,7 +355,7 @@ def _merge(
 
 
 def _assign_actuator(source: SourceVideo, project: Project, report: ImportReport) -> None:
-    """List a video under the actuator that the source names; what the project's settings say stays."""
+    """List a video under the source's actuator, unless the project's settings name one."""
     listed = project.actuator_of(source.video)
     if source.actuator is None or source.actuator == listed:
         return

@@ -1,11 +1,11 @@
-"""Lightning Pose's labels, in and out: one CSV for all videos beside labeled-data/, and project.yaml.
+"""Importing and exporting Lightning Pose's labels: one CSV for all videos next to labeled-data/, and project.yaml.
 
-The CSV is DeepLabCut's with one column for the image's path, and where wanted a third column a keypoint,
-`visible` (documented since version 2.4): 0 not labelled, 1 hidden, 2 visible. Positions are used as they are:
-Lightning Pose takes DeepLabCut's labels so, whose (0, 0) is the centre of the top-left pixel.
+The CSV is DeepLabCut's with one column for the image's path. Optionally each keypoint has a third column, `visible`
+(documented since version 2.4): 0 not labelled, 1 hidden, 2 visible. Positions are used as they are. Lightning Pose
+reads DeepLabCut's labels without conversion, and their (0, 0) is the centre of the top-left pixel.
 
-Hidden means a point that a person has said cannot be seen. It has no position, and Lightning Pose ignores one
-that is there; so it goes into our notes of what is not visible, and comes from them.
+A hidden point is one that a person has marked as not visible. Lightning Pose ignores its position. It corresponds to
+`not_visible` in the notes.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ import yaml
 from ...tracker.errors import LabelError
 from ...tracker.project import Project
 from ..label_table import LabelRow, read_label_table
-from ..side_data import read_notes
+from ..notes_file import read_notes
 from .exporting import (
     ExportReport,
     LabelledVideo,
-    copy_pictures,
+    copy_images,
     labelled_videos,
     new_folder,
     warn_of_actuators,
 )
-from .source import PictureFinder, Source, SourceVideo
+from .source import ImageFinder, Source, SourceVideo
 
 _VISIBLE = "visible"
 _NOT_LABELLED, _HIDDEN, _SEEN = "0", "1", "2"
@@ -42,12 +42,12 @@ _FILE = "CollectedData.csv"
 
 
 def label_csvs(folder: Path) -> list[Path]:
-    """The CSV files right in a folder that begin as label files do."""
+    """Return the CSV files of a folder, without subfolders, that start like label files."""
     return [path for path in sorted(folder.glob("*.csv")) if _begins_as_labels(path)]
 
 
 def has_visible_column(path: Path) -> bool:
-    """Whether a CSV is one of Lightning Pose's with `visible` columns."""
+    """Whether a CSV has Lightning Pose's `visible` columns."""
     with path.open("rb") as file:
         heads = [file.readline(1 << 16) for _ in range(3)]
     return heads[2].startswith(b"coords") and _VISIBLE.encode() in heads[2].strip().split(b",")
@@ -63,20 +63,27 @@ def open_lightning_pose(path: str | Path, images: str | Path | None = None) -> S
 
     Parameters
     ----------
-    path : the project's folder or a CSV
-    images : where the pictures are; None looks beside the CSV
+    path : str or Path
+        The project's folder or a CSV.
+    images : str, Path or None, optional
+        Folder of the images; None looks next to the CSV.
+
+    Returns
+    -------
+    Source
+        The images and labels.
 
     Raises
     ------
     LabelError
-        No labels there, or a malformed CSV.
+        There are no labels, or a CSV is malformed.
     """
     path = Path(path)
     files = label_csvs(path) if path.is_dir() else [path]
     if not files:
         raise LabelError(f"{path}: expected labels of Lightning Pose ({_FILE}), got none")
     folder = path if path.is_dir() else path.resolve().parent
-    finder = PictureFinder([Path(images)] if images is not None else [folder])
+    finder = ImageFinder([Path(images)] if images is not None else [folder])
     keypoints: dict[str, None] = {}
     by_video: dict[str, list[LabelRow]] = defaultdict(list)
     for file in files:
@@ -91,8 +98,8 @@ def open_lightning_pose(path: str | Path, images: str | Path | None = None) -> S
     return Source(path, tuple(keypoints), None, videos, (), tuple(skipped))
 
 
-def _video(video: str, rows: Sequence[LabelRow], finder: PictureFinder, skipped: list[str]) -> SourceVideo:
-    pictures, labels, hidden = {}, [], {}
+def _video(video: str, rows: Sequence[LabelRow], finder: ImageFinder, skipped: list[str]) -> SourceVideo:
+    images, labels, hidden = {}, [], {}
     for row in rows:
         try:
             found = finder.find(f"labeled-data/{video}/{row.image}")
@@ -100,16 +107,18 @@ def _video(video: str, rows: Sequence[LabelRow], finder: PictureFinder, skipped:
             skipped.append(f"{video}/{row.image}: {error}")
             continue
         if found is not None:
-            pictures[row.image] = found.read_bytes
-        cells, hidden_here = _seen(row, skipped)
+            images[row.image] = found.read_bytes
+        cells, hidden_here = _visible_cells(row, skipped)
         labels.append(LabelRow(row.image, cells, video, row.where))
         if hidden_here:
             hidden[row.image] = hidden_here
-    return SourceVideo(video, tuple(labels), pictures, finder.where, not_visible=hidden)
+    return SourceVideo(video, tuple(labels), images, finder.where, not_visible=hidden)
 
 
-def _seen(row: LabelRow, skipped: list[str]) -> tuple[Mapping[tuple[str, str], str], tuple[str, ...]]:
-    """Cells of the points that count, and the keypoints that are hidden."""
+def _visible_cells(
+    row: LabelRow, skipped: list[str]
+) -> tuple[Mapping[tuple[str, str], str], tuple[str, ...]]:
+    """Return the cells of the visible points, and the keypoints that are hidden."""
     cells = {cell: text for cell, text in row.cells.items() if cell[1] != _VISIBLE}
     hidden = []
     for (name, coord), text in row.cells.items():
@@ -130,19 +139,26 @@ def _seen(row: LabelRow, skipped: list[str]) -> tuple[Mapping[tuple[str, str], s
 def export_lightning_pose(project: Project, out: str | Path) -> ExportReport:
     """Write a Lightning Pose project: project.yaml, CollectedData.csv, labeled-data/, and videos/ to fill.
 
-    Pictures are copied byte for byte, positions keep every digit: importing the outcome gives the same labels.
-    The `visible` columns are there where something is said to be not visible. The folder appears whole or not
+    Images are copied byte for byte, positions keep every digit: importing the result gives the same labels.
+    `visible` columns are written where a keypoint is marked as not visible. The folder is created as a whole or not
     at all.
 
     Parameters
     ----------
-    project : whose labels
-    out : must not exist, or be empty
+    project : Project
+        Project whose labels are written.
+    out : str or Path
+        Folder of the new project; must not exist, or be empty.
+
+    Returns
+    -------
+    ExportReport
+        What was written.
 
     Raises
     ------
     LabelError
-        Nothing is labelled, the labels are malformed, or `out` has something in it.
+        Nothing is labelled, the labels are malformed, or `out` is not empty.
     OSError
         The folder cannot be written.
     """
@@ -153,7 +169,7 @@ def export_lightning_pose(project: Project, out: str | Path) -> ExportReport:
     with new_folder(Path(out)) as folder:
         (folder / "videos").mkdir()
         for video in videos:
-            copy_pictures(video, folder / "labeled-data" / video.video)
+            copy_images(video, folder / "labeled-data" / video.video)
         settings = {"view_names": [], "keypoint_names": list(project.keypoints)}
         (folder / "project.yaml").write_text(
             yaml.safe_dump(settings, sort_keys=False, allow_unicode=True), encoding="utf-8"

@@ -1,15 +1,15 @@
-"""SLEAP's .slp labels, in and out, read and written by sleap-io (the extra bendtrack[sleap]).
+"""Importing and exporting SLEAP's .slp labels with sleap-io (the extra bendtrack[sleap]).
 
-sleap-io serves: it keeps float64 positions, knows every version of the format, and loads in a tenth of a second;
-its 280 MB with what it needs are why it is an extra. Nothing here reads the HDF5 itself.
+sleap-io keeps float64 positions, reads every version of the format, and loads in a tenth of a second. It is an extra
+because it takes 280 MB with its dependencies. The HDF5 is not read here directly.
 
-Positions. Since version 1.1 of the format (0, 0) is the centre of the top-left pixel, as everywhere here; older
-files measured from its corner, and sleap-io takes 0.5 px off theirs. Positions are used as it gives them.
+Positions. Since version 1.1 of the format (0, 0) is the centre of the top-left pixel, as in bendtrack. Older files are
+measured from the corner, and sleap-io subtracts 0.5 px from their positions. Positions are used as it returns them.
 
-Frames. A .slp names videos and frame indices; it may carry the pictures (.pkg.slp), or name pictures instead of a
-video. Only what a person labelled is taken, not predictions. A node that is not visible is not labelled.
+Frames. A .slp file refers to videos and frame indices. It may contain the images (.pkg.slp), or refer to images instead
+of a video. Only labels by a person are imported, not predictions. A node that is not visible counts as not labelled.
 
-Actuators. In what we write, an instance's track is the actuator; in others' files tracks mean something else.
+Actuators. In files that bendtrack has written, an instance's track is the actuator; elsewhere tracks mean other things.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from ..label_table import LabelRow
 from ..store import frame_index, image_name
 from .exporting import ExportReport, LabelledVideo, labelled_videos, skeleton_edges
 from .importing import by_stem
-from .source import PictureFinder, ReadPicture, Source, SourceVideo, distinct_names, foreign_path
+from .source import ImageFinder, ReadImage, Source, SourceVideo, distinct_names, foreign_path
 
-_WRITER = "bendtrack"  # key in the file's provenance: we wrote it
+_WRITER = "bendtrack"  # key in the provenance of files that bendtrack has written
 
 
 def _sleap_io(path: Path) -> ModuleType:
@@ -50,17 +50,24 @@ def _sleap_io(path: Path) -> ModuleType:
 
 
 def open_sleap(path: str | Path, images: str | Path | None = None) -> Source:
-    """Read a .slp.
+    """Read a .slp file.
 
     Parameters
     ----------
-    path : the file
-    images : where to look for the videos or pictures that it names, beside the places that it says and its own
+    path : str or Path
+        The file.
+    images : str, Path or None, optional
+        Folder of the videos or images that it refers to. None looks at their own paths and next to the file.
+
+    Returns
+    -------
+    Source
+        The images and labels.
 
     Raises
     ------
     LabelError
-        sleap-io is not installed, not such a file, or nobody has labelled anything in it.
+        sleap-io is not installed, the file has another format, or it has no labels by a person.
     """
     path = Path(path)
     sleap_io = _sleap_io(path)
@@ -70,7 +77,7 @@ def open_sleap(path: str | Path, images: str | Path | None = None) -> Source:
         raise LabelError(
             f"{path}: expected SLEAP labels (.slp), got a file that does not open as such ({error})"
         ) from error
-    finder = PictureFinder([Path(images)] if images is not None else [path.resolve().parent])
+    finder = ImageFinder([Path(images)] if images is not None else [path.resolve().parent])
     by_video = defaultdict(list)
     for frame in labels.labeled_frames:
         by_video[id(frame.video)].append(frame)
@@ -94,12 +101,12 @@ def open_sleap(path: str | Path, images: str | Path | None = None) -> Source:
 
 
 def _origin(video: Any) -> Any:
-    """The video that the frames come from, also where the file carries copies of them."""
+    """Return the video that the frames come from, also where the file contains copies of them."""
     return video.original_video or video
 
 
 def _video_names(videos: Sequence[Any]) -> list[str]:
-    """The stem of a video file; for a list of pictures, the folder that they lie in."""
+    """Return each video's name: the stem of a video file; for a list of images, their folder."""
     paths = []
     for number, video in enumerate(videos):
         filename = _origin(video).filename
@@ -115,52 +122,54 @@ def _video_names(videos: Sequence[Any]) -> list[str]:
 
 def _video(
     video: Any,
-    name: str,
+    stem: str,
     frames: Sequence[Any],
     suggested: Sequence[int],
-    finder: PictureFinder,
+    finder: ImageFinder,
     ours: bool,
     skipped: list[str],
 ) -> SourceVideo:
     indices = sorted({int(frame.frame_idx) for frame in frames} | set(suggested))
-    images = _image_names(_origin(video).filename, indices)
-    pictures: dict[str, ReadPicture] = {}
+    names = _image_names(_origin(video).filename, indices)
+    images: dict[str, ReadImage] = {}
     file = None
     where = finder.where
     if video.backend_metadata.get("dataset"):
-        images = {index: _as_png(images, index) for index in indices}
-        held = _held(video)
-        pictures = {images[index]: _stored(video, index) for index in indices if index in held}
+        names = {index: _as_png(names, index) for index in indices}
+        stored = _stored_indices(video)
+        images = {names[index]: _read_stored(video, index) for index in indices if index in stored}
         where = str(video.filename)
     elif isinstance(video.filename, list):
         for index in indices:
             try:
                 found = finder.find(video.filename[index]) if index < len(video.filename) else None
             except LabelError as error:
-                skipped.append(f"{name}/{images[index]}: {error}")
+                skipped.append(f"{stem}/{names[index]}: {error}")
                 continue
             if found is not None:
-                pictures[images[index]] = found.read_bytes
+                images[names[index]] = found.read_bytes
     else:
         file = _video_file(video.filename, finder)
     rows, actuators = [], set()
     if file is not None:
-        rows = [LabelRow(images[index], {}, name) for index in sorted(set(suggested))]
+        rows = [LabelRow(names[index], {}, stem) for index in sorted(set(suggested))]
     for frame in sorted(frames, key=lambda frame: frame.frame_idx):
-        image = images[int(frame.frame_idx)]
+        image = names[int(frame.frame_idx)]
         labelled = [instance for instance in frame.user_instances if not np.isnan(instance.numpy()).all()]
         if len(labelled) > 1:
-            skipped.append(f"{name}/{image}: expected one actuator a picture, got {len(labelled)} instances")
+            skipped.append(
+                f"{stem}/{image}: expected one actuator in each image, got {len(labelled)} instances"
+            )
         elif labelled:
-            rows.append(LabelRow(image, _cells(labelled[0]), name, f"{name} frame {frame.frame_idx}"))
+            rows.append(LabelRow(image, _cells(labelled[0]), stem, f"{stem} frame {frame.frame_idx}"))
             if labelled[0].track is not None:
                 actuators.add(labelled[0].track.name)
     actuator = actuators.pop() if ours and len(actuators) == 1 else None
-    return SourceVideo(name, tuple(rows), pictures, where, actuator, file)
+    return SourceVideo(stem, tuple(rows), images, where, actuator, file)
 
 
 def _image_names(filename: str | list[str], indices: Sequence[int]) -> Mapping[int, str]:
-    """What the pictures of these frames are called: as before where they have names, else by the frame."""
+    """Return the image names of these frames: their own where they have one, else by the frame index."""
     if not isinstance(filename, list):
         return {index: image_name(index) for index in indices}
     paths = {index: foreign_path(filename[index]) for index in indices if index < len(filename)}
@@ -169,14 +178,14 @@ def _image_names(filename: str | list[str], indices: Sequence[int]) -> Mapping[i
 
 
 def _as_png(images: Mapping[int, str], index: int) -> str:
-    """A name for the copy in the file, which is a PNG; two pictures of one stem stay two."""
+    """Return a PNG name for an image contained in the file; images of one stem get distinct names."""
     name = PurePosixPath(images[index])
     alike = [i for i, other in images.items() if PurePosixPath(other).stem == name.stem]
     return f"{name.stem}.png" if len(alike) == 1 else f"{name.stem}_{name.suffix[1:]}.png"
 
 
-def _held(video: Any) -> Container[int]:
-    """Indices of the frames whose pictures the .slp carries, or those of a whole video kept as HDF5."""
+def _stored_indices(video: Any) -> Container[int]:
+    """Return the indices of the frames whose images the .slp contains, or all of a video stored as HDF5."""
     try:
         video.open()
     except (OSError, ValueError):
@@ -186,7 +195,7 @@ def _held(video: Any) -> Container[int]:
     return {int(index) for index in video.backend.frame_map}
 
 
-def _stored(video: Any, index: int) -> ReadPicture:
+def _read_stored(video: Any, index: int) -> ReadImage:
     def read() -> bytes:
         image = video[index]
         code = cv2.COLOR_GRAY2BGR if image.shape[-1] == 1 else cv2.COLOR_RGB2BGR
@@ -195,7 +204,7 @@ def _stored(video: Any, index: int) -> ReadPicture:
     return read
 
 
-def _video_file(filename: str, finder: PictureFinder) -> Path | None:
+def _video_file(filename: str, finder: ImageFinder) -> Path | None:
     for path in (Path(filename), *(folder / foreign_path(filename).name for folder in finder.folders)):
         if path.is_file():
             return path
@@ -214,23 +223,31 @@ def _cells(instance: Any) -> dict[tuple[str, str], str]:
 
 
 def export_sleap(project: Project, out: str | Path, *, videos: Sequence[str | Path] = ()) -> ExportReport:
-    """Write a .slp that carries the project's pictures and labels, or names its videos.
+    """Write a .slp file that contains the project's images and labels, or refers to its videos.
 
-    Positions keep every digit, pictures every pixel; pictures without labels become suggestions. Where `videos`
-    gives the video of every labelled folder, and every picture's name tells its frame, the file names videos and
-    frame indices and carries no pictures.
+    Positions keep every digit, images every pixel; images without labels become suggestions. Where `videos` has the
+    video of every labelled folder, and every image's name has a frame index, the file refers to videos and frame
+    indices and contains no images.
 
     Parameters
     ----------
-    project : whose labels
-    out : the file, ending in .slp; must not exist
-    videos : video files
+    project : Project
+        Project whose labels are written.
+    out : str or Path
+        The file, ending in .slp; must not exist.
+    videos : sequence of str or Path, optional
+        Video files to refer to.
+
+    Returns
+    -------
+    ExportReport
+        What was written.
 
     Raises
     ------
     LabelError
-        sleap-io is not installed, `out` exists or ends otherwise, nothing is labelled, the labels are
-        malformed, a video is not there, or two have one name.
+        sleap-io is not installed, `out` exists or does not end in .slp, nothing is labelled, the labels are malformed,
+        a video does not exist, or two have one name.
     OSError
         The file cannot be written.
     """
@@ -255,16 +272,16 @@ def export_sleap(project: Project, out: str | Path, *, videos: Sequence[str | Pa
     foreign: list[Any] = []
     frames, suggestions = [], []
     for video in labelled:
-        # One for each kind of picture: where they are mixed, sleap-io 0.9.5 stores some with red for blue.
-        for pictures in [video.pictures] if by_reference else _by_suffix(video.pictures):
+        # One for each kind of image: where they are mixed, sleap-io 0.9.5 stores some with red for blue.
+        for images in [video.images] if by_reference else _by_suffix(video.images):
             if by_reference:
                 theirs = sleap_io.Video.from_filename(str(files[video.video].resolve()))
             else:
-                theirs = sleap_io.Video.from_filename([str(p.resolve()) for p in pictures], grayscale=False)
+                theirs = sleap_io.Video.from_filename([str(p.resolve()) for p in images], grayscale=False)
             foreign.append(theirs)
-            for number, picture in enumerate(pictures):
-                index = frame_index(picture.name) if by_reference else number
-                xy = video.xy.get(picture.name)
+            for number, image in enumerate(images):
+                index = frame_index(image.name) if by_reference else number
+                xy = video.xy.get(image.name)
                 if xy is None:
                     suggestions.append(sleap_io.SuggestionFrame(theirs, index))
                     continue
@@ -285,10 +302,10 @@ def export_sleap(project: Project, out: str | Path, *, videos: Sequence[str | Pa
     return report
 
 
-def _by_suffix(pictures: Sequence[Path]) -> list[list[Path]]:
+def _by_suffix(images: Sequence[Path]) -> list[list[Path]]:
     kinds: dict[str, list[Path]] = defaultdict(list)
-    for picture in pictures:
-        kinds[picture.suffix.lower()].append(picture)
+    for image in images:
+        kinds[image.suffix.lower()].append(image)
     return list(kinds.values())
 
 
@@ -297,13 +314,15 @@ def _all_have_videos(
 ) -> bool:
     missing = [video.video for video in labelled if video.video not in files]
     unnumbered = [
-        f"{video.video}/{picture.name}"
+        f"{video.video}/{image.name}"
         for video in labelled
-        for picture in video.pictures
-        if frame_index(picture.name) is None
+        for image in video.images
+        if frame_index(image.name) is None
     ]
     if missing:
-        report.warnings.append(f"no video is given for {', '.join(missing)}: pictures go into the file")
+        report.warnings.append(f"no video is given for {', '.join(missing)}: images are written to the file")
     elif unnumbered:
-        report.warnings.append(f"the name of {unnumbered[0]} tells no frame: pictures go into the file")
+        report.warnings.append(
+            f"the name of {unnumbered[0]} has no frame index: images are written to the file"
+        )
     return not missing and not unnumbered

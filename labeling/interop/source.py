@@ -1,7 +1,7 @@
-"""What a foreign project holds, before any of it is used: the one form that every format is read into.
+"""The contents of a foreign project, in the one form that every format is read into.
 
-Each format's own file makes it; what becomes of it is in `importing.py`. Also here: finding a picture by a path
-that another machine wrote down, and names for folders and pictures of which none hides another.
+Each format's own file creates it; `importing.py` uses it. Also here: finding an image by a path from another machine,
+and distinct names for folders and images.
 """
 
 from __future__ import annotations
@@ -17,28 +17,35 @@ from ...tracker.errors import LabelError
 from ..label_table import LabelRow
 from ..store import IMAGE_SUFFIXES
 
-ReadPicture = Callable[[], bytes]
-"""Gives a picture as the contents of an image file."""
+ReadImage = Callable[[], bytes]
+"""Returns an image as the contents of an image file."""
 
 
 @dataclass(frozen=True)
 class SourceVideo:
-    """The labelled pictures of one video.
+    """The images and labels of one video.
 
     Attributes
     ----------
-    video : its name in the project, the video's stem
-    rows : its labels as they stand, the source's own scorer first
-    pictures : image name -> the picture, for those that the source has
-    where : where pictures were looked for, for messages
-    actuator : which actuator it shows, None where the source does not say
-    file : the video itself, where the source names it and it is there
-    not_visible : image name -> keypoints that a person has said cannot be seen
+    video : str
+        Its name in the project, the video's stem.
+    rows : tuple of LabelRow
+        Its labels, those of the source's own scorer first.
+    images : mapping of str to ReadImage
+        Image name -> function that reads the image, for the images that the source has.
+    where : str
+        Where images were searched, for messages.
+    actuator : str or None
+        The actuator that it shows, None where the source gives none.
+    file : Path or None
+        The video file, where the source names it and it exists.
+    not_visible : mapping of str to tuple of str
+        Image name -> keypoints that a person has marked as not visible.
     """
 
     video: str
     rows: tuple[LabelRow, ...]
-    pictures: Mapping[str, ReadPicture]
+    images: Mapping[str, ReadImage]
     where: str
     actuator: str | None = None
     file: Path | None = None
@@ -47,16 +54,22 @@ class SourceVideo:
 
 @dataclass(frozen=True)
 class Source:
-    """What there is to import.
+    """The contents of a foreign project.
 
     Attributes
     ----------
-    path : as it was given
-    keypoints : names, in the source's order
-    scorer : who labelled, None where the source does not say
-    videos : with labels
-    warnings : what was taken and is worth a look
-    skipped : what cannot be used, "<video>/<image>: <reason>" each
+    path : Path
+        The file or folder that was read.
+    keypoints : tuple of str
+        Names, in the source's order.
+    scorer : str or None
+        Name of the scorer, None where the source gives none.
+    videos : tuple of SourceVideo
+        Videos with labels.
+    warnings : tuple of str
+        Warnings about what was read, one line each.
+    skipped : tuple of str
+        What cannot be used, "<video>/<image>: <reason>" each.
     """
 
     path: Path
@@ -68,9 +81,9 @@ class Source:
 
 
 def foreign_path(text: str) -> PurePosixPath:
-    """A path that another machine wrote down, as parts that are safe names: no drive, no root, no "..".
+    r"""Make a relative path of safe names from another machine's path: no drive, no root, no "..".
 
-    >>> foreign_path("C:\\\\study\\\\..\\\\arm\\\\img1.png"), foreign_path("/data/.hidden/img1.png")
+    >>> foreign_path("C:\\study\\..\\arm\\img1.png"), foreign_path("/data/.hidden/img1.png")
     (PurePosixPath('study/arm/img1.png'), PurePosixPath('data/hidden/img1.png'))
     """
     plain = text.replace("\\", "/").removeprefix(PureWindowsPath(text).drive)
@@ -79,9 +92,9 @@ def foreign_path(text: str) -> PurePosixPath:
 
 
 def distinct_names(paths: Iterable[PurePosixPath]) -> dict[PurePosixPath, str]:
-    """A name for each path: its last part, or as many of its last parts as tell those apart that end alike.
+    """Return a distinct name for each path: its last part, or as many last parts as make paths of one name differ.
 
-    No two names are the same on a disk that does not tell upper from lower case.
+    Names also differ on a case-insensitive file system.
 
     >>> list(distinct_names(map(PurePosixPath, ("d/a/arm", "d/b/arm", "d/b/leg"))).values())
     ['a_arm', 'b_arm', 'leg']
@@ -109,12 +122,13 @@ def _tail(path: PurePosixPath, depth: int) -> str:
     return "/".join(path.parts[-depth:]).casefold()
 
 
-class PictureFinder:
-    """Finds pictures under some folders by the path that a foreign project gives them.
+class ImageFinder:
+    """Finds images in folders by the path that a foreign project gives them.
 
     Parameters
     ----------
-    folders : looked through in this order; all that is below them only where the plain path leads nowhere
+    folders : iterable of Path
+        Folders to search, in this order. Their subfolders are searched where the path itself does not exist.
     """
 
     def __init__(self, folders: Iterable[Path]) -> None:
@@ -123,16 +137,26 @@ class PictureFinder:
 
     @property
     def where(self) -> str:
-        """The folders, for messages."""
+        """Names of the folders, for messages."""
         return " or ".join(map(str, self.folders))
 
     def find(self, text: str) -> Path | None:
-        """The picture that fits best (most of the path's last parts), None where there is none.
+        """Find the image whose path shares the most last parts with a foreign path.
+
+        Parameters
+        ----------
+        text : str
+            Path as the foreign project gives it.
+
+        Returns
+        -------
+        Path or None
+            The image file, None where there is none.
 
         Raises
         ------
         LabelError
-            There are several that fit equally well.
+            Several images fit equally well.
         """
         wanted = foreign_path(text)
         for folder in self.folders:
@@ -145,17 +169,17 @@ class PictureFinder:
         best = max((n_parts for n_parts, _ in fits), default=0)
         found = sorted(path for n_parts, path in fits if n_parts == best)
         if len(found) > 1:
-            raise LabelError(f"expected one picture of that name, got {found[0]} and {found[1]}")
+            raise LabelError(f"expected one image of that name, got {found[0]} and {found[1]}")
         return found[0] if found else None
 
     def _below(self) -> dict[str, list[Path]]:
         if self._by_name is None:
             self._by_name = defaultdict(list)
             for folder in self.folders:
-                for place, _, names in os.walk(folder):
+                for subfolder, _, names in os.walk(folder):
                     for name in names:
                         if name.lower().endswith(IMAGE_SUFFIXES):
-                            self._by_name[name.casefold()].append(Path(place, name))
+                            self._by_name[name.casefold()].append(Path(subfolder, name))
         return self._by_name
 
 

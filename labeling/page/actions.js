@@ -1,23 +1,23 @@
-// What the keys and the buttons do.
+// The actions of the keys and the buttons.
 
 import { get } from "./api.js";
 import { byId } from "./elements.js";
 import { FILTERS } from "./frame_list.js";
 import { showHelp } from "./keys.js";
-import { say } from "./message.js";
+import { showMessage } from "./message.js";
 import { showSummary } from "./summary_dialog.js";
 
 const STEP_PX = { quarter: 0.25, pixel: 1 };
 const BIG_STEPS = 40; // across what is visible
 
 /** The actions that `keys.js` names, on the parts of the page. */
-export function makeActions({ project, list, open, queue, desk, view, stage, pointer, options, history, repeats, reload }) {
-  /** Where the keyboard places: its own crosshair, else a sensible start. */
+export function makeActions({ project, list, open, queue, frameNavigator, view, stage, pointer, options, history, repeats, reload }) {
+  /** Position at which the keyboard places a point: its crosshair, or a start for it. */
   const crosshair = () =>
     options.keyboardCursor ??
-    (open.isRepeat ? null : open.frame?.ghosts?.[open.target]?.xy) ??
+    (open.isRepeat ? null : open.frame?.suggestions?.[open.target]?.xy) ??
     pointer.over ??
-    view.clamped(view.toPicture([view.screen.width / 2, view.screen.height / 2]));
+    view.clamped(view.toImage([view.screen.width / 2, view.screen.height / 2]));
 
   const setCursor = (xy) => {
     options.keyboardCursor = xy;
@@ -29,18 +29,18 @@ export function makeActions({ project, list, open, queue, desk, view, stage, poi
   const editable = () => open.frame && !open.locked;
 
   /** Points of another source for the missing keypoints, or for all of them. */
-  const fill = (source, all, words) => {
+  const fill = (source, all, text) => {
     if (!editable() || open.isRepeat) return;
     const names = open.keypoints.filter((name) => source[name] && (all || open.isMissing(name)));
     if (names.length) open.set(Object.fromEntries(names.map((name) => [name, view.clamped(source[name])])));
-    else say(words);
+    else showMessage(text);
   };
 
   const step = async (way) => {
     if (open.isRepeat) return;
-    const { frame, words } = await history.step(way);
-    if (words) say(words);
-    if (frame) await desk.show(frame);
+    const { frame, text } = await history.step(way);
+    if (text) showMessage(text);
+    if (frame) await frameNavigator.show(frame);
   };
 
   return {
@@ -97,23 +97,23 @@ export function makeActions({ project, list, open, queue, desk, view, stage, poi
     skip: () => editable() && open.toggleSkipped(),
     note: () => byId("note").focus(),
     copyPrevious(all) {
-      if (!open.frame?.previous) return say("No frame before this one has points.");
-      fill(open.frame.previous.points, all, "All points are set already. Shift+C copies over them.");
+      if (!open.frame?.previous) return showMessage("No frame before this one has points.");
+      fill(open.frame.previous.points, all, "All points are set already. Shift+C replaces them.");
     },
-    acceptGhosts(all) {
-      const ghosts = Object.entries(open.frame?.ghosts ?? {}).map(([name, { xy }]) => [name, xy]);
-      if (!ghosts.length) return say("There are no ghosts here yet: they come from labelled frames nearby, or from a network.");
-      fill(Object.fromEntries(ghosts), all, "All points are set already. Shift+G takes the ghosts over them.");
+    acceptSuggestions(all) {
+      const suggestions = Object.entries(open.frame?.suggestions ?? {}).map(([name, { xy }]) => [name, xy]);
+      if (!suggestions.length) return showMessage("There are no suggestions here yet: they come from labelled frames nearby, or from a network.");
+      fill(Object.fromEntries(suggestions), all, "All points are set already. Shift+G replaces them.");
     },
     undo: () => step("undo"),
     redo: () => step("redo"),
 
-    step: (steps) => !repeats.active && desk.step(steps),
+    step: (steps) => !repeats.active && frameNavigator.step(steps),
     nextToDo() {
       if (repeats.active) return;
-      const id = list.nextToDo(desk.current);
-      if (id) desk.go(id);
-      else say(open.missing().length ? "Only this frame is left." : "Every frame is labelled.");
+      const id = list.nextToDo(frameNavigator.current);
+      if (id) frameNavigator.go(id);
+      else showMessage(open.missing().length ? "Only this frame is left." : "Every frame is labelled.");
     },
     filter() {
       const names = Object.keys(FILTERS);
@@ -125,7 +125,7 @@ export function makeActions({ project, list, open, queue, desk, view, stage, poi
         const [summary] = await Promise.all([get("/api/summary"), reload()]);
         showSummary(summary, list.repeats, () => repeats.next());
       } catch (error) {
-        say(error.message);
+        showMessage(error.message);
       }
     },
     async repeats() {
@@ -139,7 +139,7 @@ export function makeActions({ project, list, open, queue, desk, view, stage, poi
     },
     fit: () => view.fit(),
     loupe: () => options.toggle("loupe"),
-    ghosts: () => options.toggle("ghosts"),
+    suggestions: () => options.toggle("suggestions"),
     panKey: (held) => pointer.setPanKey(held),
     escape() {
       if (pointer.cancel()) return;

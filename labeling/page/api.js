@@ -1,11 +1,11 @@
-// Talking to the server (see API.md). What to do about an answer is decided by who asked.
+// Requests to the server (see API.md). The caller decides what to do about an answer.
 
 const TIMEOUT_MS = 15000;
 
 /** No answer: the server is down, or busy beyond patience. */
 export class Unreachable extends Error {}
 
-/** An answer that says no; `status` and, where there is one, `body`. */
+/** A refusal; `status` and, where there is one, `body`. */
 export class Refused extends Error {
   constructor(status, body) {
     super(body?.reason ?? `the server answered ${status}`);

@@ -1,5 +1,5 @@
-// Somebody else changed the frame in the meantime: both versions side by side, and a choice. Nothing is overwritten
-// and nothing is thrown away before it is made.
+// Conflict dialog: someone else changed the frame in the meantime. Both versions are shown next to each other; nothing
+// is overwritten or dropped before the user has chosen.
 
 import { byId, element } from "./elements.js";
 import { drawPlainMarks } from "./marks.js";
@@ -17,14 +17,14 @@ export function chooseVersion({ row, mine, theirs, keypoints, bitmap }) {
       resolve(choice);
     };
     const region = regionOf(mine.points, theirs.points, bitmap);
-    const version = (title, frame, words, choice) =>
+    const version = (title, frame, text, choice) =>
       element(
         "section",
         { class: "version" },
         element("h3", {}, title),
         preview(frame.points, frame === mine ? theirs.points : mine.points, keypoints, bitmap, region),
         element("p", { class: "fine" }, facts(frame)),
-        element("button", { type: "button", class: "wide", id: `choose-${choice}`, onclick: () => choose(choice) }, words),
+        element("button", { type: "button", class: "wide", id: `choose-${choice}`, onclick: () => choose(choice) }, text),
       );
     dialog.replaceChildren(
       element("h2", { id: "conflict-title" }, "This frame was changed elsewhere"),
@@ -32,7 +32,7 @@ export function chooseVersion({ row, mine, theirs, keypoints, bitmap }) {
         "p",
         {},
         `${row?.video ?? ""} · frame ${row?.frame ?? row?.image ?? ""}: while you worked on it, another tab or person saved it too. `,
-        "Which version shall stay?",
+        "Which version do you want to keep?",
       ),
       element(
         "div",
@@ -40,9 +40,9 @@ export function chooseVersion({ row, mine, theirs, keypoints, bitmap }) {
         version("Yours", mine, "Keep mine", "mine"),
         version("Theirs, saved", theirs, "Take theirs", "theirs"),
       ),
-      element("ul", { class: "differences fine" }, ...differences(mine, theirs, keypoints).map((words) => element("li", {}, words))),
+      element("ul", { class: "differences fine" }, ...differences(mine, theirs, keypoints).map((text) => element("li", {}, text))),
     );
-    // Escape would leave it open which one counts.
+    // Escape would leave the conflict unresolved.
     dialog.oncancel = (event) => event.preventDefault();
     dialog.showModal();
     byId("choose-theirs").focus();
@@ -51,27 +51,27 @@ export function chooseVersion({ row, mine, theirs, keypoints, bitmap }) {
 
 function facts(frame) {
   const placed = Object.values(frame.points).filter(Boolean).length;
-  const words = [`${placed} ${placed === 1 ? "point" : "points"}`];
-  if (frame.flagged) words.push("flagged");
-  if (frame.skipped) words.push("skipped");
-  if (frame.note) words.push(`“${frame.note}”`);
-  return words.join(" · ");
+  const parts = [`${placed} ${placed === 1 ? "point" : "points"}`];
+  if (frame.flagged) parts.push("flagged");
+  if (frame.skipped) parts.push("skipped");
+  if (frame.note) parts.push(`“${frame.note}”`);
+  return parts.join(" · ");
 }
 
 function differences(mine, theirs, keypoints) {
-  const words = [];
+  const found = [];
   for (const name of keypoints) {
     const [a, b] = [mine.points[name], theirs.points[name]];
     if (a && b) {
       const distance = Math.hypot(a[0] - b[0], a[1] - b[1]);
-      if (distance > 0.005) words.push(`${name}: ${distance.toFixed(2)} px apart`);
-    } else if (a || b) words.push(`${name}: placed only in ${a ? "yours" : "theirs"}`);
+      if (distance > 0.005) found.push(`${name}: ${distance.toFixed(2)} px apart`);
+    } else if (a || b) found.push(`${name}: placed only in ${a ? "yours" : "theirs"}`);
   }
-  if (mine.note !== undefined && mine.note !== theirs.note) words.push("the notes differ");
-  return words;
+  if (mine.note !== undefined && mine.note !== theirs.note) found.push("the notes differ");
+  return found;
 }
 
-/** The part of the picture in which the versions differ, with the preview's proportions. */
+/** The part of the image in which the versions differ, with the preview's proportions. */
 function regionOf(mine, theirs, bitmap) {
   const both = (name) => [mine[name], theirs[name]].filter(Boolean);
   const differing = Object.keys(theirs).filter((name) => String(mine[name]) !== String(theirs[name]));

@@ -12,9 +12,9 @@ const BUTTONS = {
   "open-help": "help",
   fit: "fit",
   "toggle-loupe": "loupe",
-  "toggle-ghosts": "ghosts",
+  "toggle-suggestions": "suggestions",
   "copy-previous": "copyPrevious",
-  "accept-ghosts": "acceptGhosts",
+  "accept-suggestions": "acceptSuggestions",
   "not-visible": "notVisible",
   flag: "flag",
   skip: "skip",
@@ -23,7 +23,7 @@ const NOTE_PAUSE_MS = 700;
 
 export function connectControls({ actions, open, queue, tone, options }) {
   for (const [id, name] of Object.entries(BUTTONS)) byId(id).addEventListener("click", () => actions[name]());
-  // After a click with the mouse the keys belong to the picture again; who came by keyboard stays where they are.
+  // A click with the mouse returns the keyboard focus to the image; a click by keyboard leaves it on the control.
   document.addEventListener("click", (event) => {
     const control = event.target.closest("button, [role=option]");
     if (control && event.detail > 0 && !document.querySelector("dialog[open]")) {
@@ -40,7 +40,7 @@ export function connectControls({ actions, open, queue, tone, options }) {
   connectTone(tone);
   const showOptions = () => {
     byId("toggle-loupe").setAttribute("aria-pressed", options.loupe);
-    byId("toggle-ghosts").setAttribute("aria-pressed", options.ghosts);
+    byId("toggle-suggestions").setAttribute("aria-pressed", options.suggestions);
   };
   options.addEventListener("change", showOptions);
   showOptions();

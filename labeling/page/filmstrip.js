@@ -9,7 +9,7 @@ const FILTER_TITLES = {
   flagged: "Flagged frames",
   worst: "Labelled frames on which the network disagrees most, worst first",
 };
-const STATE_WORDS = { unlabelled: "not labelled", partial: "points missing", labelled: "labelled", skipped: "skipped" };
+const STATE_TEXT = { unlabelled: "not labelled", partial: "points missing", labelled: "labelled", skipped: "skipped" };
 
 export class Filmstrip {
   #list;
@@ -47,7 +47,7 @@ export class Filmstrip {
   }
 
   #makeFilters() {
-    for (const [name, words] of Object.entries(FILTER_NAMES)) {
+    for (const [name, text] of Object.entries(FILTER_NAMES)) {
       const count = element("b", { class: "numbers" });
       const button = element(
         "button",
@@ -58,7 +58,7 @@ export class Filmstrip {
           onclick: () => this.#list.setFilter(name),
         },
         count,
-        element("span", {}, words),
+        element("span", {}, text),
       );
       this.#filters.set(name, { button, count });
       byId("filters").append(button);
@@ -98,7 +98,7 @@ export class Filmstrip {
       this.#nodes.set(row.id, node);
       this.#film.append(node);
     }
-    if (!rows.length) this.#film.append(element("p", { class: "none" }, this.#noneWords()));
+    if (!rows.length) this.#film.append(element("p", { class: "none" }, this.#emptyText()));
     const current = this.#nodes.get(this.#current);
     if (current) {
       mark(current, true);
@@ -108,18 +108,18 @@ export class Filmstrip {
     this.#showModel();
   }
 
-  /** What the network is doing, while it is doing it. */
+  /** The network's state, while it is not ready. */
   #showModel() {
     const model = this.#list.model;
-    const words = {
+    const texts = {
       loading: "The network is being loaded…",
-      working: `The network looks at the frames: ${model?.done} of ${model?.total}`,
+      working: `The network predicts the frames: ${model?.done} of ${model?.total}`,
       failed: `The network cannot be used${model?.reason ? `: ${model.reason}` : "."}`,
     };
-    byId("model-state").textContent = words[model?.state] ?? "";
+    byId("model-state").textContent = texts[model?.state] ?? "";
   }
 
-  #noneWords() {
+  #emptyText() {
     if (this.#list.filter === "todo") return "Every frame is labelled.";
     if (this.#list.filter === "flagged") return "No frame is flagged. F flags the one that is open.";
     if (this.#list.filter === "worst") return "Nothing to compare yet: train a network, then its disagreements show here.";
@@ -144,10 +144,10 @@ export class Filmstrip {
     const name = row.frame === null ? row.image : String(row.frame);
     const time = row.time_s === null || row.time_s === undefined ? "" : `${row.time_s.toFixed(2)} s`;
     node.dataset.state = row.state;
-    const words = [`frame ${name}`, STATE_WORDS[row.state]];
-    if (row.flagged) words.push("flagged");
-    if (row.note) words.push(`note: ${row.note}`);
-    node.setAttribute("aria-label", words.join(", "));
+    const label = [`frame ${name}`, STATE_TEXT[row.state]];
+    if (row.flagged) label.push("flagged");
+    if (row.note) label.push(`note: ${row.note}`);
+    node.setAttribute("aria-label", label.join(", "));
     node.title = [row.image, time, row.note].filter(Boolean).join(" · ");
     const thumb =
       node.querySelector("img") ?? element("img", { loading: "lazy", decoding: "async", alt: "", width: "72", height: "48" });
@@ -157,7 +157,7 @@ export class Filmstrip {
       thumb,
       element(
         "div",
-        { class: "film-words" },
+        { class: "film-text" },
         element("span", { class: "film-name numbers" }, name, row.flagged ? icon("flag", "icon flag-mark") : null),
         element("span", { class: "fine numbers" }, distance !== null && distance !== undefined ? `Δ ${distance.toFixed(1)} px` : time),
       ),
@@ -199,7 +199,7 @@ export class Filmstrip {
     bar.setAttribute("aria-valuemax", total);
     bar.setAttribute("aria-valuenow", labelled);
     byId("progress-fill").style.width = `${total ? (100 * labelled) / total : 0}%`;
-    byId("progress-words").textContent = `${labelled} of ${total} labelled`;
+    byId("progress-text").textContent = `${labelled} of ${total} labelled`;
   }
 }
 

@@ -44,7 +44,7 @@ export class FrameList extends EventTarget {
     this.dispatchEvent(new Event("list"));
   }
 
-  /** Rows that the filter shows. `current` stays, so that a frame does not vanish under one's hands. */
+  /** Rows that the filter shows, and the current one, so that the open frame does not disappear. */
   shown(current = null) {
     const rows = this.rows.filter((row) => FILTERS[this.filter](row) || row.id === current);
     return this.filter === "worst" ? rows.sort((a, b) => (b.model_px ?? -1) - (a.model_px ?? -1)) : rows;
@@ -65,7 +65,7 @@ export class FrameList extends EventTarget {
     return rows[rows.findIndex((row) => row.id === id) + steps]?.id ?? null;
   }
 
-  /** The next frame to label, going round; null when all is done. */
+  /** The next frame to label, from the end on to the start; null when all are done. */
   nextToDo(id) {
     const at = this.rows.findIndex((row) => row.id === id);
     const round = [...this.rows.slice(at + 1), ...this.rows.slice(0, at + 1)];

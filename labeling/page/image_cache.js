@@ -1,4 +1,4 @@
-// Decoded pictures, ready to be drawn: those seen last and those wanted next, within a bounded memory.
+// Cache of decoded images: the ones shown last and the ones needed next, within a bounded memory.
 
 const BUDGET_BYTES = 400e6; // a dozen 4K frames
 const LEAST_KEPT = 3;
@@ -10,7 +10,7 @@ export class ImageCache {
   #wanted = [];
   #prefetching = false;
 
-  /** The picture at an address, as an ImageBitmap. */
+  /** The image at an address, as an ImageBitmap. */
   get(address) {
     let entry = this.#entries.get(address);
     if (entry) this.#entries.delete(address);
@@ -48,7 +48,7 @@ export class ImageCache {
   #evict() {
     let bytes = 0;
     for (const entry of this.#entries.values()) bytes += entry.bytes;
-    // Not closed: the oldest may still be on the screen. The browser frees a picture that nothing refers to.
+    // Not closed: the oldest may still be on the screen. The browser frees an image that nothing refers to.
     for (const [address, entry] of this.#entries) {
       if (bytes <= BUDGET_BYTES || this.#entries.size <= LEAST_KEPT) return;
       bytes -= entry.bytes;
@@ -59,7 +59,7 @@ export class ImageCache {
 
 async function decoded(address) {
   const response = await fetch(address);
-  if (!response.ok) throw new Error(`the picture is not there (${response.status})`);
+  if (!response.ok) throw new Error(`the image is not there (${response.status})`);
   const blob = await response.blob();
   try {
     return await createImageBitmap(blob, AS_STORED);

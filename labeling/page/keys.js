@@ -1,12 +1,12 @@
-// Every key of the page, in one table: what it does, what the help says of it. Single letters count only while
-// no text is being written and no dialog is open.
+// All keys of the page, in one table: their actions and their help. Single letters are ignored while text is being
+// written or a dialog is open.
 
 import { byId, element } from "./elements.js";
 
 const MOD = /Mac/.test(navigator.platform) ? "⌘" : "Ctrl";
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
-/** [group, [[keys, words, action name, argument]]]; `keys` as `pressed` spells them. */
+/** [group, [[keys, text, action name, argument]]]; `keys` as `pressed` spells them. */
 const TABLE = [
   [
     "Points",
@@ -16,15 +16,15 @@ const TABLE = [
       [["arrows"], "move the selected point by 0.25 px, or the crosshair"],
       [["shift+arrows"], "by 1 px"],
       [["alt+arrows"], "by a big step"],
-      [["enter"], "place at the crosshair; then on to the next point", "enter"],
+      [["enter"], "place at the crosshair, then go to the next point", "enter"],
       [["w", "s"], "select the point before, after"],
       [["1–9"], "select a point"],
       [["x"], "not visible", "notVisible"],
-      [["backspace", "delete"], "take the point away", "remove"],
+      [["backspace", "delete"], "remove the point", "remove"],
       [["c"], "copy the previous frame's points (Shift: over placed ones too)", "copyPrevious"],
-      [["g"], "accept all ghosts (Shift: over placed ones too)", "acceptGhosts"],
+      [["g"], "accept all suggestions (Shift: over placed ones too)", "acceptSuggestions"],
       [["z"], `undo (${MOD}+Z too)`, "undo"],
-      [["shift+z"], "do it again", "redo"],
+      [["shift+z"], "redo", "redo"],
     ],
   ],
   [
@@ -47,21 +47,21 @@ const TABLE = [
       [["wheel"], "zoom about the pointer"],
       [["+", "−"], "zoom about the crosshair or the selected point"],
       [["space+drag"], "pan; the middle button too"],
-      [["0"], "fit the picture", "fit"],
+      [["0"], "fit the image", "fit"],
       [["l"], "loupe", "loupe"],
-      [["h"], "ghosts", "ghosts"],
+      [["h"], "suggestions", "suggestions"],
       [["esc"], "let go; close", "escape"],
       [["?"], "this list", "help"],
     ],
   ],
 ];
 
-// Not worth a line in the help, or told there under another name.
+// Keys that are not in the help, or are there under another name.
 const MORE = {
   w: ["select", -1],
   s: ["select", 1],
   "shift+c": ["copyPrevious", true],
-  "shift+g": ["acceptGhosts", true],
+  "shift+g": ["acceptSuggestions", true],
   "mod+z": ["undo"],
   "mod+shift+z": ["redo"],
   "mod+y": ["redo"],
@@ -152,9 +152,9 @@ function keyGroup(name, lines) {
     element(
       "dl",
       {},
-      ...lines.flatMap(([keys, words]) => [
+      ...lines.flatMap(([keys, text]) => [
         element("dt", {}, ...keys.flatMap((key, i) => [i ? " " : "", ...combination(key)])),
-        element("dd", {}, words),
+        element("dd", {}, text),
       ]),
     ),
   );

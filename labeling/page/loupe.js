@@ -1,5 +1,5 @@
-// The loupe: the pixels around a position, enlarged, with a cross at the very place. It keeps beside the position
-// so that it never covers it.
+// The loupe: the pixels around a position, magnified, with a cross at the position. It is drawn next to the position
+// and never covers it.
 
 import { drawPlainMarks } from "./marks.js";
 
@@ -9,7 +9,7 @@ const TIMES = 4; // larger than on the screen
 const LEAST_SCALE = 8;
 const MOST_SCALE = 32;
 
-/** scene.loupe: a picture position, or null for no loupe. */
+/** scene.loupe: an image position, or null for no loupe. */
 export function drawLoupe(frame, bitmap, scene) {
   const scale = Math.min(Math.max(TIMES * scene.view.scale, LEAST_SCALE), MOST_SCALE);
   // Of no use where the screen is as large already.

@@ -1,10 +1,10 @@
-// The page from the start: fetches the project, makes the parts and connects them.
+// Entry point of the page: fetches the project, creates the parts and connects them.
 
 import { makeActions } from "./actions.js";
 import { Refused, Unreachable, get, send } from "./api.js";
 import { chooseVersion } from "./conflict_dialog.js";
 import { connectControls } from "./controls.js";
-import { Desk } from "./desk.js";
+import { FrameNavigator } from "./frame_navigator.js";
 import { byId } from "./elements.js";
 import { hideEmpty, showEmpty } from "./empty_page.js";
 import { Filmstrip } from "./filmstrip.js";
@@ -12,7 +12,7 @@ import { FrameList } from "./frame_list.js";
 import { History } from "./history.js";
 import { ImageCache } from "./image_cache.js";
 import { listenToKeys } from "./keys.js";
-import { say, setBanner } from "./message.js";
+import { showMessage, setBanner } from "./message.js";
 import { OpenFrame } from "./open_frame.js";
 import { Options } from "./options.js";
 import { Pointer } from "./pointer.js";
@@ -21,10 +21,10 @@ import { showAngle, showFrameState, showHint, showPosition } from "./readout.js"
 import { RepeatRound } from "./repeat_round.js";
 import { showSaving } from "./save_indicator.js";
 import { SaveQueue } from "./save_queue.js";
-import { doubts, makeScene } from "./scene.js";
+import { disagreements, makeScene } from "./scene.js";
 import { listen } from "./server_events.js";
 import { Stage } from "./stage.js";
-import { inherit, tabIdentity } from "./tab_identity.js";
+import { adoptOrphanedEdits, tabIdentity } from "./tab_identity.js";
 import { startTheme } from "./theme.js";
 import { Tone } from "./tone.js";
 import { View } from "./view.js";
@@ -66,14 +66,14 @@ async function start() {
   const stage = new Stage(byId("stage"), view, () => makeScene(project, { open, view, pointer, options }));
   const history = new History(queue, identity.clientId);
   const filmstrip = new Filmstrip(list, project.keypoints.length, (id, { keepFocus }) => {
-    desk.go(id);
+    frameNavigator.go(id);
     if (!keepFocus) byId("stage").focus({ preventScroll: true });
   });
-  const desk = new Desk({ project, list, open, queue, cache, stage, filmstrip });
-  const repeats = new RepeatRound({ open, queue, cache, stage, desk, finished: afterRepeats });
+  const frameNavigator = new FrameNavigator({ project, list, open, queue, cache, stage, filmstrip });
+  const repeats = new RepeatRound({ open, queue, cache, stage, frameNavigator, finished: afterRepeats });
   const tone = new Tone();
   const pointsPanel = new PointsPanel(project.keypoints, open);
-  const actions = makeActions({ project, list, open, queue, desk, view, stage, pointer, options, history, repeats, reload });
+  const actions = makeActions({ project, list, open, queue, frameNavigator, view, stage, pointer, options, history, repeats, reload });
   connectControls({ actions, open, queue, tone, options });
   listenToKeys(actions);
 
@@ -87,8 +87,8 @@ async function start() {
   }
 
   function afterRepeats(spread) {
-    if (spread) say(`Your own spread: ${spread.px.toFixed(2)} px${spread.deg === null ? "" : `, ${spread.deg.toFixed(2)}°`} (I shows more).`, 8000);
-    desk.go(desk.current);
+    if (spread) showMessage(`Your own spread: ${spread.px.toFixed(2)} px${spread.deg === null ? "" : `, ${spread.deg.toFixed(2)}°`} (I shows more).`, 8000);
+    frameNavigator.go(frameNavigator.current);
     reload().catch(() => {});
   }
 
@@ -101,7 +101,7 @@ async function start() {
     showAngle(project, open);
     showHint(project, open, Boolean(options.keyboardCursor));
     showFrameState(open);
-    pointsPanel.update(doubts(open, view.picture));
+    pointsPanel.update(disagreements(open, view.image));
   };
   for (const name of ["open", "points", "selection"]) open.addEventListener(name, refreshMarks);
   open.addEventListener("open", () => (options.keyboardCursor = null));
@@ -112,10 +112,10 @@ async function start() {
     showHint(project, open, Boolean(options.keyboardCursor));
   });
   pointer.addEventListener("missed", ({ detail }) => {
-    say(detail.complete ? "All points are set. Drag one to move it." : "That is outside of the picture.");
+    showMessage(detail.complete ? "All points are set. Drag one to move it." : "That is outside of the image.");
   });
   pointer.addEventListener("cancelled", () => {
-    open.letGo();
+    open.endDrag();
     open.adopt(open.frame, queue.latest(open.frame?.id)?.body);
   });
 
@@ -127,8 +127,8 @@ async function start() {
     settleSign();
   });
   queue.addEventListener("refused", ({ detail: { edit, error } }) => {
-    say(`This edit cannot be saved (${error.message}); the frame is shown as it is on disk.`, 10000);
-    if (edit.kind === "frame") desk.refresh(edit.id);
+    showMessage(`This edit cannot be saved (${error.message}); the frame is shown as it is on disk.`, 10000);
+    if (edit.kind === "frame") frameNavigator.refresh(edit.id);
   });
   queue.addEventListener("conflict", settleConflicts);
   addEventListener("beforeunload", (event) => {
@@ -142,7 +142,7 @@ async function start() {
     choosing = true;
     for (let [id] = queue.conflicts; id; [id] = queue.conflicts) {
       if (repeats.active) repeats.leave();
-      if (desk.current !== id) await desk.go(id);
+      if (frameNavigator.current !== id) await frameNavigator.go(id);
       const theirs = queue.conflict(id);
       const choice = await chooseVersion({
         row: list.get(id),
@@ -180,7 +180,7 @@ async function start() {
     }, LIST_AGAIN_MS);
   };
 
-  inherit(identity, (edits) => queue.adopt(edits));
+  adoptOrphanedEdits(identity, (edits) => queue.adopt(edits));
   await openFirst();
 
   /** The frame of the address, or the next to do; nothing where that one is open already. */
@@ -193,8 +193,8 @@ async function start() {
     }
     hideEmpty();
     if (list.get(open.frame?.id)) return;
-    const wanted = [desk.current, decodeURIComponent(location.hash.slice(1))].find((id) => list.get(id));
-    await desk.go(wanted ?? frames.next ?? list.rows[0].id);
+    const wanted = [frameNavigator.current, decodeURIComponent(location.hash.slice(1))].find((id) => list.get(id));
+    await frameNavigator.go(wanted ?? frames.next ?? list.rows[0].id);
     if (document.activeElement === document.body) byId("stage").focus({ preventScroll: true });
   }
 
@@ -202,9 +202,9 @@ async function start() {
     async connected() {
       setBannerUnlessRepeating(null);
       queue.setConnected(true);
-      // What happened while nobody listened, be it since the list was fetched a moment ago.
+      // Changes while no events were received, including those since the list was fetched.
       await openFirst().catch(() => {});
-      if (open.frame) desk.refresh(open.frame.id);
+      if (open.frame) frameNavigator.refresh(open.frame.id);
     },
     async lost() {
       queue.setConnected(false);
@@ -215,19 +215,19 @@ async function start() {
     },
     changed({ id, edit_id: editId }) {
       if (queue.isOwn(editId) || history.isOwn(editId)) return;
-      if (list.get(id)) desk.refresh(id);
+      if (list.get(id)) frameNavigator.refresh(id);
       else reloadSoon();
     },
     frames: () => openFirst().catch(() => {}),
     predicted({ id }) {
-      if (id === open.frame?.id) desk.refreshGhosts();
+      if (id === open.frame?.id) frameNavigator.refreshSuggestions();
       reloadSoon();
     },
     model: reloadSoon,
   });
 
-  function setBannerUnlessRepeating(words) {
-    if (!repeats.active) setBanner(words, [], "trouble");
+  function setBannerUnlessRepeating(text) {
+    if (!repeats.active) setBanner(text, [], "trouble");
   }
 }
 

@@ -1,7 +1,7 @@
-// What is drawn on the picture: points, skeleton, the two vectors, the angle, ghosts, the crosshair. All in screen
+// What is drawn on the image: points, skeleton, the two vectors, the angle, suggestions, the crosshair. All in screen
 // px of the given view, on a cleared context; marks keep their size at every zoom.
 
-import { ANGLE, DARK, DOUBT, FIXED_END, MOVING_END, colourOf, shapePath } from "./palette.js";
+import { ANGLE, DARK, DISAGREEMENT, FIXED_END, MOVING_END, colourOf, shapePath } from "./palette.js";
 
 const RADIUS_PX = 7;
 const LETTERS = '600 11.5px system-ui, -apple-system, "Segoe UI", sans-serif';
@@ -18,7 +18,7 @@ export function drawMarks(context, scene) {
   const vectors = endVectors(scene);
   for (const vector of vectors) drawArrow(context, vector);
   if (scene.angleDeg !== null && vectors.length === 2) drawAngle(context, scene, vectors, shown);
-  if (scene.ghostsShown) drawGhosts(context, scene);
+  if (scene.suggestionsShown) drawSuggestions(context, scene);
   for (const point of shown) drawPoint(context, scene, point);
   for (const point of shown) drawName(context, scene, point, shown);
 }
@@ -94,7 +94,7 @@ function drawAngle(context, scene, [base, tip], shown) {
   context.globalAlpha = 1;
   cased(context, arc, ANGLE, 2);
 
-  const words = formatAngle(scene.angleDeg, 1);
+  const text = formatAngle(scene.angleDeg, 1);
   const narrow = Math.abs(sweep) < 0.9;
   const wanted = narrow ? start + sweep / 2 - (sweep < 0 ? -1 : 1) * (Math.PI / 2) : start + sweep / 2;
   const clear = narrow ? 34 : radius + 30;
@@ -102,7 +102,7 @@ function drawAngle(context, scene, [base, tip], shown) {
   context.font = NUMBER;
   context.textAlign = "center";
   context.textBaseline = "middle";
-  letters(context, words, at, ANGLE);
+  letters(context, text, at, ANGLE);
 }
 
 function freePlace([x, y], wanted, clear, shown, screen) {
@@ -142,28 +142,28 @@ function drawName(context, scene, { name, index, at }, shown) {
   letters(context, name, [at[0] + dx * (RADIUS_PX + 9), at[1] + dy * (RADIUS_PX + 11)], colourOf(index));
 }
 
-/** Where the network, or the neighbouring labels, put the points; and how far the label is from it. */
-function drawGhosts(context, scene) {
+/** The points suggested by the network or the neighbouring labels, and the label's distance where it disagrees. */
+function drawSuggestions(context, scene) {
   scene.keypoints.forEach((name, index) => {
-    const ghost = scene.ghosts[name];
-    if (!ghost) return;
-    const at = scene.view.toScreen(ghost.xy);
+    const suggestion = scene.suggestions[name];
+    if (!suggestion) return;
+    const at = scene.view.toScreen(suggestion.xy);
     const label = scene.points[name];
-    const doubt = scene.doubts[name];
-    if (label && !doubt) return; // they agree: nothing to say
-    const colour = doubt ? DOUBT : colourOf(index);
-    if (doubt) cased(context, line(scene.view.toScreen(label), at), DOUBT, 2);
+    const disagreement = scene.disagreements[name];
+    if (label && !disagreement) return; // they agree: nothing to draw
+    const colour = disagreement ? DISAGREEMENT : colourOf(index);
+    if (disagreement) cased(context, line(scene.view.toScreen(label), at), DISAGREEMENT, 2);
     context.globalAlpha = 0.85;
     cased(context, shapePath(index, at[0], at[1], RADIUS_PX), colour, 1.5, [3.5, 2.5]);
-    if (ghost.sd_px !== null && ghost.sd_px * scene.view.scale > RADIUS_PX) {
-      cased(context, circle(at, ghost.sd_px * scene.view.scale), colour, 1, [2, 3]);
+    if (suggestion.sd_px !== null && suggestion.sd_px * scene.view.scale > RADIUS_PX) {
+      cased(context, circle(at, suggestion.sd_px * scene.view.scale), colour, 1, [2, 3]);
     }
     context.globalAlpha = 1;
-    if (doubt) {
+    if (disagreement) {
       context.font = LETTERS;
       context.textAlign = "left";
       context.textBaseline = "middle";
-      letters(context, `${doubt.toFixed(1)} px`, [at[0] + RADIUS_PX + 6, at[1]], DOUBT);
+      letters(context, `${disagreement.toFixed(1)} px`, [at[0] + RADIUS_PX + 6, at[1]], DISAGREEMENT);
     }
   });
 }
@@ -212,13 +212,13 @@ function dot(context, at, colour) {
   context.fill(circle(at, 1.25));
 }
 
-function letters(context, words, [x, y], colour) {
+function letters(context, text, [x, y], colour) {
   context.lineJoin = "round";
   context.lineWidth = 3;
   context.strokeStyle = "rgba(16,18,24,0.75)";
-  context.strokeText(words, x, y);
+  context.strokeText(text, x, y);
   context.fillStyle = colour;
-  context.fillText(words, x, y);
+  context.fillText(text, x, y);
 }
 
 function line(from, to) {

@@ -1,26 +1,26 @@
-// One line at the foot of the picture for what just happened, gone after a while; and the banner for what lasts.
+// The message at the foot of the image, which disappears after a while, and the banner, which stays.
 
 import { byId, element } from "./elements.js";
 
 let timer = null;
 
-export function say(words, lastsMs = 4000) {
+export function showMessage(text, lastsMs = 4000) {
   const node = byId("message");
   clearTimeout(timer);
-  node.textContent = words;
-  node.hidden = !words;
+  node.textContent = text;
+  node.hidden = !text;
   timer = setTimeout(() => (node.hidden = true), lastsMs);
 }
 
-/** A line across the page, with buttons [{words, key, run, main}]; null takes it away. */
-export function setBanner(words, buttons = [], kind = "note") {
+/** A line across the page, with buttons [{text, key, run, main}]; null removes it. */
+export function setBanner(text, buttons = [], kind = "note") {
   const node = byId("banner");
-  node.hidden = !words;
+  node.hidden = !text;
   node.dataset.kind = kind;
-  if (!words) return node.replaceChildren();
+  if (!text) return node.replaceChildren();
   return node.replaceChildren(
-    element("span", {}, words),
-    ...buttons.map(({ words: label, key, run, main }) =>
+    element("span", {}, text),
+    ...buttons.map(({ text: label, key, run, main }) =>
       element("button", { type: "button", class: main ? "main" : "", onclick: run }, label, element("kbd", {}, key)),
     ),
   );

@@ -1,5 +1,5 @@
-// The frame that is being labelled: its points as they are on the screen, what is selected, and every edit of it.
-// Edits leave through `save`; what the server makes of them comes back through `adopt`.
+// The frame that is being labelled: its points as they are on the screen, the selection, and its edits.
+// Edits are sent through `save`; the server's answers come back through `adopt`.
 
 /** Events: "open" (another frame), "points" (anything of it changed), "selection". */
 export class OpenFrame extends EventTarget {
@@ -14,8 +14,8 @@ export class OpenFrame extends EventTarget {
   selected = null;
   /** True while points may not be changed: another frame is on its way. */
   locked = true;
-  /** {keypoint: [x, y]} while the pointer's button is down on it: an answer that comes meanwhile leaves it there. */
-  #inHand = {};
+  /** {keypoint: [x, y]} of the point being dragged: an answer of the server does not move it. */
+  #dragged = {};
   #save;
 
   /** save(frame, body, merge): put an edit on its way. */
@@ -32,13 +32,13 @@ export class OpenFrame extends EventTarget {
   open(frame, keypoints, unsent = null) {
     const another = frame.id !== this.frame?.id || this.isRepeat !== Boolean(frame.repeat);
     this.keypoints = keypoints;
-    if (another) this.#inHand = {};
+    if (another) this.#dragged = {};
     this.#take(frame, unsent);
     if (another || !keypoints.includes(this.selected)) {
       this.selected = this.missing()[0] ?? this.keypoints[0] ?? null;
     }
     this.locked = false;
-    this.#tell("open");
+    this.#emit("open");
   }
 
   close() {
@@ -46,17 +46,17 @@ export class OpenFrame extends EventTarget {
     this.points = {};
     this.notVisible.clear();
     this.locked = true;
-    this.#tell("open");
+    this.#emit("open");
   }
 
-  /** The server's word on this frame; edits that are still on their way stay on top. */
+  /** Take over the server's state of this frame; unsent edits stay on top. */
   adopt(frame, unsent = null) {
     if (!this.frame || frame.id !== this.frame.id || this.isRepeat) return;
     const before = this.points;
     this.#take({ ...this.frame, ...frame }, unsent);
-    // What was undone is what one wants to place again.
+    // After an undo the point that was removed is selected, to be placed again.
     this.selected = this.keypoints.find((name) => before[name] && this.isMissing(name)) ?? this.selected;
-    this.#tell("points");
+    this.#emit("points");
   }
 
   isPlaced(keypoint) {
@@ -82,7 +82,7 @@ export class OpenFrame extends EventTarget {
   select(keypoint) {
     if (keypoint === this.selected) return;
     this.selected = keypoint;
-    this.#tell("selection");
+    this.#emit("selection");
   }
 
   selectStep(steps) {
@@ -94,21 +94,21 @@ export class OpenFrame extends EventTarget {
   /** Move a point on the screen only, while it is being dragged. */
   drag(keypoint, xy) {
     if (this.locked) return;
-    this.#inHand = { [keypoint]: rounded(xy) };
-    this.points[keypoint] = this.#inHand[keypoint];
+    this.#dragged = { [keypoint]: rounded(xy) };
+    this.points[keypoint] = this.#dragged[keypoint];
     this.notVisible.delete(keypoint);
-    this.#tell("points");
+    this.#emit("points");
   }
 
-  /** Forget what was being dragged; `adopt` then shows it where it was. */
-  letGo() {
-    this.#inHand = {};
+  /** End a drag; `adopt` then shows the point where it was. */
+  endDrag() {
+    this.#dragged = {};
   }
 
   /** Set points, {keypoint: [x, y]|null}, and save. `merge` as in `SaveQueue.add`. */
   set(changes, merge = null) {
     if (this.locked) return;
-    this.letGo();
+    this.endDrag();
     for (const [keypoint, xy] of Object.entries(changes)) {
       this.points[keypoint] = xy && rounded(xy);
       this.notVisible.delete(keypoint);
@@ -146,7 +146,7 @@ export class OpenFrame extends EventTarget {
 
   #changed(merge = null) {
     this.#save(this.frame, this.#body(), merge);
-    this.#tell("points");
+    this.#emit("points");
   }
 
   #body() {
@@ -164,19 +164,19 @@ export class OpenFrame extends EventTarget {
   #take(frame, unsent) {
     const state = { points: {}, not_visible: [], note: "", flagged: false, skipped: false, ...frame, ...unsent };
     this.frame = frame;
-    this.points = { ...state.points, ...this.#inHand };
-    this.notVisible = new Set(state.not_visible.filter((name) => !this.#inHand[name]));
+    this.points = { ...state.points, ...this.#dragged };
+    this.notVisible = new Set(state.not_visible.filter((name) => !this.#dragged[name]));
     this.note = state.note;
     this.flagged = state.flagged;
     this.skipped = state.skipped;
   }
 
-  #tell(name) {
+  #emit(name) {
     this.dispatchEvent(new Event(name));
   }
 }
 
-/** To 0.01 px: finer than any hand, and quarter steps stay exact. */
+/** Rounded to 0.01 px: finer than any labelling, and steps of 0.25 px stay exact. */
 function rounded([x, y]) {
   return [Math.round(x * 100) / 100, Math.round(y * 100) / 100];
 }

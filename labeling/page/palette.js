@@ -1,10 +1,10 @@
-// How a keypoint looks: a colour of Okabe and Ito's palette, told apart with any colour vision, and a shape of
-// its own. The fixed end is blue, the moving end orange, the angle yellow, doubt red-orange, as in the overlay video.
+// The mark of a keypoint: a colour of Okabe and Ito's palette, distinct with any colour vision, and a shape of
+// its own. The fixed end is blue, the moving end orange, the angle yellow, disagreement red-orange, as in the overlay video.
 
 export const FIXED_END = "#56b4e9";
 export const MOVING_END = "#f5960a";
 export const ANGLE = "#fae850";
-export const DOUBT = "#ff5828";
+export const DISAGREEMENT = "#ff5828";
 export const DARK = "#101218";
 
 const COLOURS = ["#56b4e9", "#2fc79b", "#f5960a", "#e28bbd", "#fae850", "#ff5828", "#4d9df0", "#d8d8d8"];

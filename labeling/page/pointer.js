@@ -1,13 +1,13 @@
-// Mouse, pen and touch on the stage: place, drag, pan, zoom. Positions become picture positions here, edits go to
+// Mouse, pen and touch on the stage: place, drag, pan, zoom. Positions become image positions here, edits go to
 // the open frame.
 
 const GRAB_PX = 10;
-// While points are missing a click mostly means to place: an existing point must be met more exactly.
+// While points are missing most clicks place one, so an existing point must be hit more exactly.
 const GRAB_WHILE_PLACING_PX = 6;
 const DRAG_STARTS_PX = 3;
 
 export class Pointer extends EventTarget {
-  /** Picture position under the pointer, null when it is elsewhere. */
+  /** Image position under the pointer, null when it is elsewhere. */
   over = null;
   /** The keypoint being dragged or placed. */
   dragged = null;
@@ -65,12 +65,12 @@ export class Pointer extends EventTarget {
       this.#open.select(near);
       const mark = this.#view.toScreen(this.#open.points[near]);
       this.#gesture = { kind: "grab", keypoint: near, start: at, offset: [mark[0] - at[0], mark[1] - at[1]] };
-    } else if (target && this.#view.contains(this.#view.toPicture(at))) {
-      // Down to place, move to correct with the loupe, up to keep.
+    } else if (target && this.#view.contains(this.#view.toImage(at))) {
+      // Button down places the point, moving corrects it with the loupe, button up saves it.
       this.#gesture = { kind: "place", keypoint: target };
       this.dragged = target;
       this.#open.select(target);
-      this.#open.drag(target, this.#view.toPicture(at));
+      this.#open.drag(target, this.#view.toImage(at));
     } else {
       this.dispatchEvent(new CustomEvent("missed", { detail: { complete: !target } }));
     }
@@ -79,7 +79,7 @@ export class Pointer extends EventTarget {
   #move(event) {
     const at = this.#position(event);
     const gesture = this.#gesture;
-    this.over = this.#view.toPicture(at);
+    this.over = this.#view.toImage(at);
     if (this.#options.keyboardCursor && event.movementX === 0 && event.movementY === 0) return;
     this.#options.keyboardCursor = null;
     if (gesture?.kind === "pan") {
@@ -90,7 +90,7 @@ export class Pointer extends EventTarget {
       if (!this.dragged && far < DRAG_STARTS_PX) return;
       this.dragged = gesture.keypoint;
       const mark = [at[0] + gesture.offset[0], at[1] + gesture.offset[1]];
-      this.#open.drag(gesture.keypoint, this.#view.clamped(this.#view.toPicture(mark)));
+      this.#open.drag(gesture.keypoint, this.#view.clamped(this.#view.toImage(mark)));
     } else if (gesture?.kind === "place") {
       this.#open.drag(gesture.keypoint, this.#view.clamped(this.over));
     } else {
@@ -143,7 +143,7 @@ export class Pointer extends EventTarget {
     const factor = Math.exp(-Math.min(Math.max(event.deltaY * lines, -300), 300) * speed);
     const at = this.#position(event);
     this.#view.zoomAt(at, factor);
-    this.over = this.#view.toPicture(at);
+    this.over = this.#view.toImage(at);
     this.#changed();
   }
 

@@ -1,4 +1,4 @@
-// The list of points on the right: which is placed where, which is next, where the network disagrees.
+// The list of points on the right: their positions, the next one to place, and where the network disagrees.
 
 import { byId, element } from "./elements.js";
 import { swatch } from "./palette.js";
@@ -13,8 +13,8 @@ export class PointsPanel {
     byId("points").replaceChildren(...this.#rows.map(({ item }) => item));
   }
 
-  /** doubts: {keypoint: px} as `scene.js` finds them. */
-  update(doubts) {
+  /** disagreements: {keypoint: px} as `scene.js` finds them. */
+  update(disagreements) {
     const open = this.#open;
     const target = open.frame ? open.target : null;
     for (const { name, item, button, value } of this.#rows) {
@@ -23,12 +23,12 @@ export class PointsPanel {
       item.hidden = !asked;
       button.setAttribute("aria-pressed", name === open.selected);
       button.classList.toggle("target", name === target);
-      button.classList.toggle("doubted", name in doubts);
-      let words = name === target ? "next" : "–";
-      if (xy) words = `${xy[0].toFixed(2)}  ${xy[1].toFixed(2)}`;
-      else if (open.notVisible.has(name)) words = "not visible";
-      if (name in doubts) words = `Δ ${doubts[name].toFixed(1)} px`;
-      value.textContent = words;
+      button.classList.toggle("warning", name in disagreements);
+      let text = name === target ? "next" : "–";
+      if (xy) text = `${xy[0].toFixed(2)}  ${xy[1].toFixed(2)}`;
+      else if (open.notVisible.has(name)) text = "not visible";
+      if (name in disagreements) text = `Δ ${disagreements[name].toFixed(1)} px`;
+      value.textContent = text;
       value.classList.toggle("numbers", Boolean(xy));
       button.title = xy ? `x ${xy[0].toFixed(2)}, y ${xy[1].toFixed(2)} px` : "";
     }

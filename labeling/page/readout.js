@@ -1,11 +1,11 @@
-// Words and numbers about the open frame: the angle, the hint, the pointer's position, the panel on the right.
+// Text about the open frame: the angle, the hint, the pointer's position, the panel on the right.
 
 import { bendingAngleDeg, endVectorsPx } from "./angle.js";
 import { byId } from "./elements.js";
 import { formatAngle } from "./marks.js";
 import { swatch } from "./palette.js";
 
-const DEFINITION_WORDS = {
+const DEFINITION_TEXT = {
   "two-vector": "turn from the first two points to the last two",
   "three-point": "turn at the middle point",
   chord: "twice the turn from base to chord",
@@ -14,14 +14,14 @@ const DEFINITION_WORDS = {
 
 export function showAngle(project, open) {
   const definition = project.definition;
-  byId("angle-name").title = DEFINITION_WORDS[definition.name] ?? "";
+  byId("angle-name").title = DEFINITION_TEXT[definition.name] ?? "";
   byId("angle-name").textContent = open.isRepeat ? "Blind repeat" : "Bending angle";
   const angle = open.isRepeat ? null : bendingAngleDeg(open.points, definition);
   byId("angle").textContent = angle === null ? "–" : formatAngle(angle, 2);
   byId("angle").classList.toggle("unknown", angle === null);
   const ends = open.isRepeat ? [null, null] : endVectorsPx(open.points, definition);
-  const words = ends.map((length) => (length === null ? "–" : length.toFixed(1)));
-  byId("ends").textContent = open.isRepeat ? "earlier labels are hidden" : `${definition.name} · ends ${words[0]} and ${words[1]} px`;
+  const lengths = ends.map((length) => (length === null ? "–" : length.toFixed(1)));
+  byId("ends").textContent = open.isRepeat ? "earlier labels are hidden" : `${definition.name} · ends ${lengths[0]} and ${lengths[1]} px`;
 }
 
 export function showHint(project, open, aimed) {
@@ -29,16 +29,16 @@ export function showHint(project, open, aimed) {
   const target = open.frame && !open.locked ? open.target : null;
   const parts = [];
   if (!open.frame) parts.push("");
-  else if (open.skipped) parts.push("Left out of the labels. K takes it in again.");
+  else if (open.skipped) parts.push("Skipped: not used as a label. K undoes this.");
   else if (target) {
     const marks = document.createElement("strong");
     marks.append(swatch(project.keypoints.indexOf(target), 15), target);
     parts.push(aimed ? "Enter places " : "Click to place ", marks, aimed ? " here" : "");
   } else if (open.isRepeat) parts.push("All placed. Enter saves and goes on.");
   else parts.push("All points are set. N goes to the next frame to label.");
-  const words = parts.map((part) => part.textContent ?? part).join("");
-  if (hint.dataset.words === words) return;
-  hint.dataset.words = words;
+  const text = parts.map((part) => part.textContent ?? part).join("");
+  if (hint.dataset.text === text) return;
+  hint.dataset.text = text;
   hint.replaceChildren(...parts);
 }
 
@@ -56,12 +56,12 @@ export function showFrameState(open) {
   const usable = Boolean(open.frame) && !open.isRepeat;
   for (const id of ["flag", "skip", "note"]) byId(id).disabled = !usable;
   byId("copy-previous").disabled = !usable || !open.frame.previous;
-  byId("accept-ghosts").disabled = !usable || !Object.keys(open.frame.ghosts ?? {}).length;
+  byId("accept-suggestions").disabled = !usable || !Object.keys(open.frame.suggestions ?? {}).length;
   byId("not-visible").disabled = !usable;
   byId("not-visible").setAttribute("aria-pressed", usable && open.notVisible.has(open.selected));
-  const source = usable ? open.frame.ghost_source : null;
-  byId("ghost-words").textContent = { model: "Accept network's", neighbours: "Accept ghosts" }[source] ?? "Accept ghosts";
-  byId("accept-ghosts").title =
+  const source = usable ? open.frame.suggestion_source : null;
+  byId("accept-label").textContent = { model: "Accept network's", neighbours: "Accept suggestions" }[source] ?? "Accept suggestions";
+  byId("accept-suggestions").title =
     source === "model"
       ? "Take the network's points for the missing ones (G)"
       : "Take the points interpolated from the neighbouring labelled frames for the missing ones (G)";

@@ -1,14 +1,14 @@
-// Blind repeats: labelled frames come back without their points, and how far the second labels lie from the first
-// is the labeller's own spread. Nothing of the first labels is fetched or shown meanwhile.
+// Blind repeats: labelled frames are shown again without their points. The distance between second and first labels
+// gives the labeller's repeatability. The first labels are neither fetched nor shown meanwhile.
 
 import { get } from "./api.js";
 import { byId } from "./elements.js";
-import { say, setBanner } from "./message.js";
+import { showMessage, setBanner } from "./message.js";
 
 export class RepeatRound {
   active = false;
   #spread = null;
-  #desk;
+  #frameNavigator;
   #open;
   #queue;
   #cache;
@@ -16,9 +16,9 @@ export class RepeatRound {
   #finished;
   #done = 0;
 
-  /** finished(spread|null): the round is over. */
-  constructor({ desk, open, queue, cache, stage, finished }) {
-    this.#desk = desk;
+  /** finished(spread|null): called at the end of the round. */
+  constructor({ frameNavigator, open, queue, cache, stage, finished }) {
+    this.#frameNavigator = frameNavigator;
     this.#open = open;
     this.#queue = queue;
     this.#cache = cache;
@@ -36,22 +36,22 @@ export class RepeatRound {
       frame = await get("/api/repeats/next");
       if (frame) this.#stage.show(await this.#cache.get(frame.image_url));
     } catch (error) {
-      say(error.message);
+      showMessage(error.message);
       return this.leave();
     }
     if (!frame) {
-      if (!this.active) say("No frame is due for a repeat yet: label some more first.");
+      if (!this.active) showMessage("No frame is due for a repeat yet: label some more first.");
       return this.leave();
     }
     this.active = true;
-    this.#desk.leave();
+    this.#frameNavigator.leave();
     document.body.classList.add("repeating");
     this.#open.open({ ...frame, repeat: true, revision: null }, frame.keypoints);
     setBanner(
       "Blind repeat: label this frame as if for the first time. Your earlier points are hidden.",
       [
-        { words: "Save and next", key: "⏎", run: () => this.submit(), main: true },
-        { words: "Leave", key: "Esc", run: () => this.leave() },
+        { text: "Save and next", key: "⏎", run: () => this.submit(), main: true },
+        { text: "Leave", key: "Esc", run: () => this.leave() },
       ],
       "repeat",
     );
@@ -60,7 +60,7 @@ export class RepeatRound {
 
   async submit() {
     const missing = this.#open.missing();
-    if (missing.length) return say(`Still to place: ${missing.join(", ")}. Leave with Esc if it cannot be seen.`);
+    if (missing.length) return showMessage(`Still to place: ${missing.join(", ")}. Leave with Esc if it cannot be seen.`);
     const { frame, points } = this.#open;
     this.#queue.add({
       kind: "repeat",

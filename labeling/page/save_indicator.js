@@ -1,10 +1,10 @@
-// Says at every moment whether what is on the screen is on the disk.
+// The save indicator: whether everything on the screen is saved on disk.
 
 import { byId, icon } from "./elements.js";
 
 const edits = (count) => (count === 1 ? "1 edit" : `${count} edits`);
 
-const WORDS = {
+const TEXT = {
   saved: () => "Saved",
   saving: () => "Saving…",
   offline: ({ waiting }) => (waiting ? `Offline · ${edits(waiting)} kept, will send again` : "Offline · connecting again"),
@@ -15,11 +15,11 @@ const WORDS = {
 
 export function showSaving(status) {
   const node = byId("saving");
-  const words = WORDS[status.state](status);
-  if (node.dataset.state === status.state && node.textContent === words) return;
+  const text = TEXT[status.state](status);
+  if (node.dataset.state === status.state && node.textContent === text) return;
   node.dataset.state = status.state;
   const mark = status.state === "saved" ? icon("check") : status.state === "saving" ? dot() : icon("warning");
-  node.replaceChildren(mark, words);
+  node.replaceChildren(mark, text);
   node.title = status.reason;
 }
 

@@ -1,4 +1,4 @@
-// Edits on their way to the disk. Each is written to localStorage before it is sent and forgotten once the server
+// Queue of edits that are not saved yet. Each is written to localStorage before it is sent and removed once the server
 // has it on disk, so neither a killed server nor a reloaded page loses one. One is sent at a time, in order.
 //
 // An edit keeps its `edit_id` however often it is sent; the server does it once. An edit made on top of an earlier,
@@ -7,7 +7,7 @@
 import { Refused, Unreachable } from "./api.js";
 
 const RETRY_MS = [300, 600, 1200, 2500, 5000];
-// Not the edit's fault: it is sent again. Any other refusal is final.
+// Temporary refusals: the edit is sent again. Any other refusal is final.
 const RETRIED_STATUS = new Set([401, 403, 408, 429, 503]);
 
 /** Events: "status" (see `status`), "saved" {edit, answer}, "conflict" {id}, "refused" {edit, error}. */
@@ -40,7 +40,7 @@ export class SaveQueue extends EventTarget {
     return { state, waiting: this.#edits.length, reason: this.#trouble?.reason ?? "" };
   }
 
-  /** Whether an edit that the server tells of was made here. */
+  /** Whether an edit of a server event was made here. */
   isOwn(editId) {
     return this.#own.has(editId);
   }
@@ -58,7 +58,7 @@ export class SaveQueue extends EventTarget {
     return [...this.#conflicts.keys()];
   }
 
-  /** What `fetch` gets of the server, not from before an edit that was saved while the answer was on its way. */
+  /** Result of `fetch`, repeated where an edit was saved in between: the answer is never older than a saved edit. */
   async undisturbed(fetch) {
     for (;;) {
       const count = this.#savedCount;
@@ -139,12 +139,12 @@ export class SaveQueue extends EventTarget {
     if (settled) this.#edits.push(settled);
     this.#conflicts.delete(id);
     this.#store();
-    this.#tell("status");
+    this.#emit("status");
     this.#run();
   }
 
   async #run() {
-    this.#tell("status");
+    this.#emit("status");
     if (this.#sending || this.#retryTimer) return;
     for (let edit = this.#next(); edit; edit = this.#next()) {
       this.#sending = edit;
@@ -160,7 +160,7 @@ export class SaveQueue extends EventTarget {
         this.#sending = null;
       }
     }
-    this.#tell("status");
+    this.#emit("status");
     if (!this.#edits.length || this.#trouble || this.#conflicts.size) this.#settleIdle(!this.#edits.length);
   }
 
@@ -174,21 +174,21 @@ export class SaveQueue extends EventTarget {
     this.#edits = this.#edits.filter((other) => other !== edit);
     const following = this.#edits.find((other) => other.id === edit.id);
     if (following && following.base_revision === null) {
-      // Sent again after a crash, an edit may find that somebody changed the frame after it: then my next one was
-      // made on something that is no longer there.
+      // An edit that is sent again after a crash may find that someone changed the frame after it. Then the next edit
+      // was based on a state that no longer exists.
       if (edit.kind !== "frame" || holds(answer, edit.body)) following.base_revision = answer?.revision ?? 0;
       else this.#conflicts.set(edit.id, answer);
     }
     this.#store();
-    this.#tell("saved", { edit, answer });
-    if (this.#conflicts.has(edit.id)) this.#tell("conflict", { id: edit.id });
+    this.#emit("saved", { edit, answer });
+    if (this.#conflicts.has(edit.id)) this.#emit("conflict", { id: edit.id });
   }
 
   /** True: go on with the next edit. */
   #failed(edit, error) {
     if (error instanceof Refused && error.status === 409 && error.body?.frame) {
       this.#conflicts.set(edit.id, error.body.frame);
-      this.#tell("conflict", { id: edit.id });
+      this.#emit("conflict", { id: edit.id });
       return true;
     }
     if (error instanceof Refused && !RETRIED_STATUS.has(error.status) && error.status < 500) {
@@ -196,7 +196,7 @@ export class SaveQueue extends EventTarget {
       const following = this.#edits.find((other) => other.id === edit.id);
       if (following) following.base_revision ??= edit.base_revision;
       this.#store();
-      this.#tell("refused", { edit, error });
+      this.#emit("refused", { edit, error });
       return true;
     }
     if (!(error instanceof Refused || error instanceof Unreachable)) console.error(error);
@@ -213,7 +213,7 @@ export class SaveQueue extends EventTarget {
 
   #setTrouble(trouble) {
     this.#trouble = trouble;
-    this.#tell("status");
+    this.#emit("status");
     if (trouble) this.#settleIdle(false);
   }
 
@@ -230,7 +230,7 @@ export class SaveQueue extends EventTarget {
     }
   }
 
-  #tell(name, detail) {
+  #emit(name, detail) {
     this.dispatchEvent(new CustomEvent(name, { detail }));
   }
 }

@@ -1,17 +1,17 @@
-// What there is to see on the picture right now, put together from the project, the open frame and the pointer.
+// The scene: everything that is drawn on the image at the moment, from the project, the open frame and the pointer.
 
 import { bendingAngleDeg } from "./angle.js";
 
 // A label this far from the network's prediction is worth a second look; on a frame of another size, in
 // proportion. Where the network knows how sure it is, three standard deviations count too.
-const DOUBT_PX = 4;
-const DOUBT_AT_DIAGONAL_PX = 800;
-const DOUBT_SD = 3;
+const DISAGREEMENT_PX = 4;
+const DISAGREEMENT_AT_DIAGONAL_PX = 800;
+const DISAGREEMENT_SD = 3;
 
-/** project: as the server gives it; the rest: the parts of the page that know what is to be seen. */
+/** project: as the server gives it; the rest: the parts of the page that the scene depends on. */
 export function makeScene(project, { open, view, pointer, options }) {
   const definition = project.definition;
-  const ghosts = open.isRepeat ? {} : (open.frame?.ghosts ?? {});
+  const suggestions = open.isRepeat ? {} : (open.frame?.suggestions ?? {});
   const dragged = pointer.dragged;
   const cursor = options.keyboardCursor ?? pointer.over;
   const loupeAt = dragged ? open.points[dragged] : options.keyboardCursor ?? pointer.over;
@@ -23,9 +23,9 @@ export function makeScene(project, { open, view, pointer, options }) {
     skeleton: project.skeleton,
     angleDeg: open.isRepeat ? null : bendingAngleDeg(open.points, definition),
     selected: open.selected,
-    ghosts,
-    ghostsShown: options.ghosts,
-    doubts: doubts(open, view.picture),
+    suggestions,
+    suggestionsShown: options.suggestions,
+    disagreements: disagreements(open, view.image),
     cursor: open.frame && !pointer.panning ? cursor : null,
     aimed: Boolean(options.keyboardCursor),
     loupe: options.loupe && !pointer.panning ? loupeAt : null,
@@ -33,15 +33,15 @@ export function makeScene(project, { open, view, pointer, options }) {
 }
 
 /** {keypoint: distance px} of the labels that the network disagrees with. */
-export function doubts(open, { width, height }) {
+export function disagreements(open, { width, height }) {
   const found = {};
-  if (open.frame?.ghost_source !== "model" || open.isRepeat) return found;
-  const least = DOUBT_PX * Math.max(1, Math.hypot(width, height) / DOUBT_AT_DIAGONAL_PX);
-  for (const [name, ghost] of Object.entries(open.frame.ghosts)) {
+  if (open.frame?.suggestion_source !== "model" || open.isRepeat) return found;
+  const least = DISAGREEMENT_PX * Math.max(1, Math.hypot(width, height) / DISAGREEMENT_AT_DIAGONAL_PX);
+  for (const [name, suggestion] of Object.entries(open.frame.suggestions)) {
     const label = open.points[name];
     if (!label) continue;
-    const distance = Math.hypot(label[0] - ghost.xy[0], label[1] - ghost.xy[1]);
-    if (distance > Math.max(least, DOUBT_SD * (ghost.sd_px ?? 0))) found[name] = distance;
+    const distance = Math.hypot(label[0] - suggestion.xy[0], label[1] - suggestion.xy[1]);
+    if (distance > Math.max(least, DISAGREEMENT_SD * (suggestion.sd_px ?? 0))) found[name] = distance;
   }
   return found;
 }

@@ -1,4 +1,4 @@
-// What the server says unasked (server-sent events), and whether the connection stands.
+// Server-sent events, and whether the connection to the server is up.
 
 const AGAIN_MS = 700;
 
@@ -20,7 +20,7 @@ export function listen(listener) {
     };
   };
   open();
-  // A browser has few connections for one server: tabs that nobody sees leave theirs to the others.
+  // A browser opens few connections to one server: hidden tabs release theirs for the others.
   document.addEventListener("visibilitychange", () => {
     source.close();
     if (!document.hidden) open();

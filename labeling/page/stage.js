@@ -1,15 +1,15 @@
-// The canvases: the picture, the marks on it, the loupe. Draws what has changed, once a screen refresh.
+// The canvases: the image, the marks on it, the loupe. Changed layers are drawn once per screen refresh.
 
 import { drawLoupe } from "./loupe.js";
 import { drawMarks } from "./marks.js";
 
-// From here on a pixel is shown as the square that it is; below, smooth pictures show edges better.
+// From this scale on pixels are drawn as squares; below it, a smoothed image shows edges better.
 const SQUARE_PIXELS_SCALE = 8;
 
 export class Stage {
   bitmap = null;
   #root;
-  #picture;
+  #image;
   #marks;
   #loupe;
   #view;
@@ -19,27 +19,27 @@ export class Stage {
   /** scene(): what there is to draw, see `makeScene`. */
   constructor(root, view, scene) {
     this.#root = root;
-    this.#picture = root.querySelector("#picture");
+    this.#image = root.querySelector("#image");
     this.#marks = root.querySelector("#marks");
     this.#loupe = root.querySelector("#loupe");
     this.#view = view;
     this.#scene = scene;
-    view.addEventListener("change", () => this.redraw("picture", "marks"));
+    view.addEventListener("change", () => this.redraw("image", "marks"));
     new ResizeObserver(() => this.#resize()).observe(root);
   }
 
   show(bitmap) {
     this.bitmap = bitmap;
-    this.#view.setPicture(bitmap.width, bitmap.height);
-    this.redraw("picture", "marks");
+    this.#view.setImageSize(bitmap.width, bitmap.height);
+    this.redraw("image", "marks");
   }
 
   clear() {
     this.bitmap = null;
-    this.redraw("picture", "marks");
+    this.redraw("image", "marks");
   }
 
-  /** Ask for "picture", "marks" or both to be drawn again. */
+  /** Ask for "image", "marks" or both to be drawn again. */
   redraw(...layers) {
     if (!this.#dirty.size) requestAnimationFrame(() => this.#draw());
     for (const layer of layers) this.#dirty.add(layer);
@@ -48,29 +48,29 @@ export class Stage {
   #resize() {
     const { width, height } = this.#root.getBoundingClientRect();
     const ratio = devicePixelRatio || 1;
-    for (const canvas of [this.#picture, this.#marks]) {
+    for (const canvas of [this.#image, this.#marks]) {
       canvas.width = Math.round(width * ratio);
       canvas.height = Math.round(height * ratio);
     }
     this.#view.setScreen(width, height);
-    this.redraw("picture", "marks");
+    this.redraw("image", "marks");
   }
 
   #draw() {
     const dirty = this.#dirty;
     this.#dirty = new Set();
     const scene = this.#scene();
-    if (dirty.has("picture")) this.#drawPicture();
+    if (dirty.has("image")) this.#drawImage();
     const context = cleared(this.#marks);
     if (this.bitmap) drawMarks(context, scene);
     drawLoupe(this.#loupe, this.bitmap, scene);
-    // For assistive tools and tests: where the picture lies.
+    // For assistive tools and tests: where the image lies.
     const { scale, left, top } = this.#view;
     Object.assign(this.#root.dataset, { scale, left, top });
   }
 
-  #drawPicture() {
-    const context = cleared(this.#picture);
+  #drawImage() {
+    const context = cleared(this.#image);
     if (!this.bitmap) return;
     const { scale, left, top } = this.#view;
     const ratio = devicePixelRatio || 1;

@@ -1,13 +1,13 @@
-// How good the labels are: coverage of each actuator's range, the length of the end vectors and the floor that it
-// sets, and the labeller's own spread. The figures are the server's (API.md, summary).
+// The summary dialog: coverage of each actuator's range of angles, length of the end vectors and the floor of the angle
+// error that follows, and the labeller's repeatability. The figures come from the server (API.md, summary).
 
 import { byId, element } from "./elements.js";
 import { formatAngle } from "./marks.js";
 
-// Under this floor 30 labels of 1 px tell the angle well enough for a hysteresis loop; it takes about 40 px.
+// Below this floor the angle is precise enough for a hysteresis loop: 30 labels of 1 px with end vectors of about 40 px.
 const GOOD_FLOOR_DEG = 0.6;
 
-/** repeats: {due, done, target}; startRepeats(): the user wants a round. */
+/** repeats: {due, done, target}; startRepeats(): called when the user starts a round of repeat labels. */
 export function showSummary(summary, repeats, startRepeats) {
   const dialog = byId("summary");
   const start = () => {
@@ -53,7 +53,7 @@ function actuators(rows) {
   return element(
     "table",
     { class: "figures" },
-    element("thead", {}, element("tr", {}, ...headings.map(([words, title]) => element("th", { scope: "col", title }, words)))),
+    element("thead", {}, element("tr", {}, ...headings.map(([text, title]) => element("th", { scope: "col", title }, text)))),
     element(
       "tbody",
       {},
@@ -68,7 +68,7 @@ function actuators(rows) {
           element("td", {}, number(row.end_vector_px, 0, " px")),
           element(
             "td",
-            { class: row.floor_deg > GOOD_FLOOR_DEG ? "doubted" : "", title: `σ = ${row.sigma_px.toFixed(2)} px, ${row.sigma_measured ? "measured" : "assumed"}` },
+            { class: row.floor_deg > GOOD_FLOOR_DEG ? "warning" : "", title: `σ = ${row.sigma_px.toFixed(2)} px, ${row.sigma_measured ? "measured" : "assumed"}` },
             number(row.floor_deg, 2, "°"),
           ),
         ),
@@ -83,13 +83,13 @@ function gapPlace({ largest_gap_at_deg: at }) {
 
 function advice(rows) {
   const short = rows.filter((row) => row.floor_deg > GOOD_FLOOR_DEG);
-  const sigma = rows.some((row) => row.sigma_measured) ? "your measured spread" : "an assumed hand of 1 px";
-  const words = [
+  const sigma = rows.some((row) => row.sigma_measured) ? "your measured spread" : "an assumed label noise of 1 px";
+  const paragraphs = [
     element("p", { class: "fine" }, `No network can know the angle better than the floor: 2 σ / (√n L), with ${sigma}. `,
       "It falls with the length L of the end vectors, so place the two points of an end far apart, and with more frames."),
   ];
   if (short.length) {
-    words.push(
+    paragraphs.push(
       element(
         "p",
         { class: "advice" },
@@ -98,7 +98,7 @@ function advice(rows) {
       ),
     );
   }
-  return element("div", {}, ...words);
+  return element("div", {}, ...paragraphs);
 }
 
 function spread(figures) {
@@ -106,12 +106,12 @@ function spread(figures) {
     return element(
       "p",
       { class: "fine" },
-      "Not known yet. A share of the labelled frames comes back blind; how far your second labels lie from the first is the floor below which no network can be judged.",
+      "Not known yet. A share of the labelled frames is shown again without its points. The distance of your second labels from the first is your label noise: no network can be shown to be better.",
     );
   }
   const range = (low, high, unit) => (low === null || low === undefined ? "" : ` (${low.toFixed(2)} to ${high.toFixed(2)}${unit})`);
-  const figure = (value, words, note) =>
-    element("div", { class: "figure" }, element("b", { class: "numbers" }, value), element("span", {}, words), element("span", { class: "fine numbers" }, note));
+  const figure = (value, text, note) =>
+    element("div", { class: "figure" }, element("b", { class: "numbers" }, value), element("span", {}, text), element("span", { class: "fine numbers" }, note));
   return element(
     "div",
     { class: "figure-row" },

@@ -1,6 +1,6 @@
-// Who this tab is: the name of its undo history, shared by the tabs of this browser, and a place of its own in
-// localStorage for unsent edits. A tab holds a lock on its place while it lives; when the lock comes free, whatever
-// lies there was left behind, and another tab sends it.
+// Identity of this tab: the id of its undo history, shared by the tabs of this browser, and its own key in localStorage
+// for unsent edits. A tab holds a lock on its key while it is open. When the lock is released, edits under the key are
+// orphaned, and another tab sends them.
 
 import { stored } from "./save_queue.js";
 
@@ -9,17 +9,17 @@ export function tabIdentity(project) {
   const home = `bendtrack/${project.name}/${project.scorer}`;
   const queueKey = `${home}/queue/${crypto.randomUUID()}`;
   withLock(queueKey, () => new Promise(() => {}));
-  return { clientId: keptName(`${home}/client`), queueKey, home };
+  return { clientId: storedId(`${home}/client`), queueKey, home };
 }
 
-/** Calls `adopt(edits)` for every other tab's place, at once or when that tab is gone. */
-export function inherit({ home, queueKey }, adopt) {
-  const places = Object.keys(localStorage).filter((key) => key.startsWith(`${home}/queue/`) && key !== queueKey);
-  for (const place of places) {
-    withLock(place, () => {
-      const edits = stored(place);
-      if (edits.length) adopt(edits); // it stores them under the own key before this one is removed
-      localStorage.removeItem(place);
+/** Calls `adopt(edits)` with the edits of every other tab, once that tab is closed. */
+export function adoptOrphanedEdits({ home, queueKey }, adopt) {
+  const keys = Object.keys(localStorage).filter((key) => key.startsWith(`${home}/queue/`) && key !== queueKey);
+  for (const other of keys) {
+    withLock(other, () => {
+      const edits = stored(other);
+      if (edits.length) adopt(edits); // which stores them under the own key before the other one is removed
+      localStorage.removeItem(other);
     });
   }
 }
@@ -29,7 +29,7 @@ function withLock(name, action) {
   else action();
 }
 
-function keptName(key) {
+function storedId(key) {
   const name = localStorage.getItem(key) ?? crypto.randomUUID();
   localStorage.setItem(key, name);
   return name;

@@ -19,7 +19,7 @@ export class Tone extends EventTarget {
     for (const channel of byId("tone").querySelectorAll("feFuncR, feFuncG, feFuncB")) {
       channel.setAttribute("tableValues", table.join(" "));
     }
-    for (const canvas of document.querySelectorAll(".picture")) canvas.classList.toggle("toned", !this.isNeutral);
+    for (const canvas of document.querySelectorAll(".image")) canvas.classList.toggle("toned", !this.isNeutral);
     this.dispatchEvent(new Event("change"));
   }
 }

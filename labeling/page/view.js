@@ -1,6 +1,6 @@
-// Where the picture lies on the screen: zoom, pan, fit. Numbers only; who draws asks here.
+// The transform between image and screen: zoom, pan, fit. Nothing is drawn here.
 //
-// Picture positions have (0, 0) at the centre of the top-left pixel, so a picture drawn with its corner at
+// Image positions have (0, 0) at the centre of the top-left pixel, so an image drawn with its corner at
 // (left, top) shows position p at (p + 0.5) * scale + (left, top). Screen positions are CSS px in the canvas.
 
 const MAX_SCALE = 64;
@@ -12,21 +12,21 @@ export class View extends EventTarget {
   left = 0;
   top = 0;
   fitted = true;
-  #picture = { width: 1, height: 1 };
+  #image = { width: 1, height: 1 };
   #screen = { width: 1, height: 1 };
 
-  get picture() {
-    return this.#picture;
+  get image() {
+    return this.#image;
   }
 
   get screen() {
     return this.#screen;
   }
 
-  /** A picture of the same size keeps zoom and place, so that frames can be compared. */
-  setPicture(width, height) {
-    const same = this.#picture.width === width && this.#picture.height === height;
-    this.#picture = { width, height };
+  /** An image of the same size keeps zoom and place, so that frames can be compared. */
+  setImageSize(width, height) {
+    const same = this.#image.width === width && this.#image.height === height;
+    this.#image = { width, height };
     if (!same || this.fitted) this.fit();
     else this.#changed();
   }
@@ -40,8 +40,8 @@ export class View extends EventTarget {
 
   fit() {
     this.scale = this.#fittingScale();
-    this.left = (this.#screen.width - this.#picture.width * this.scale) / 2;
-    this.top = (this.#screen.height - this.#picture.height * this.scale) / 2;
+    this.left = (this.#screen.width - this.#image.width * this.scale) / 2;
+    this.top = (this.#screen.height - this.#image.height * this.scale) / 2;
     this.fitted = true;
     this.#changed();
   }
@@ -66,7 +66,7 @@ export class View extends EventTarget {
     this.#changed();
   }
 
-  /** Pan as little as it takes to bring a picture position well inside the screen. */
+  /** Pan as little as it takes to bring an image position well inside the screen. */
   reveal(position) {
     const [x, y] = this.toScreen(position);
     const { width, height } = this.#screen;
@@ -80,23 +80,23 @@ export class View extends EventTarget {
     return [(x + 0.5) * this.scale + this.left, (y + 0.5) * this.scale + this.top];
   }
 
-  toPicture([x, y]) {
+  toImage([x, y]) {
     return [(x - this.left) / this.scale - 0.5, (y - this.top) / this.scale - 0.5];
   }
 
   contains([x, y]) {
-    return x >= -0.5 && y >= -0.5 && x <= this.#picture.width - 0.5 && y <= this.#picture.height - 0.5;
+    return x >= -0.5 && y >= -0.5 && x <= this.#image.width - 0.5 && y <= this.#image.height - 0.5;
   }
 
   clamped([x, y]) {
     return [
-      Math.min(Math.max(x, -0.5), this.#picture.width - 0.5),
-      Math.min(Math.max(y, -0.5), this.#picture.height - 0.5),
+      Math.min(Math.max(x, -0.5), this.#image.width - 0.5),
+      Math.min(Math.max(y, -0.5), this.#image.height - 0.5),
     ];
   }
 
   #fittingScale() {
-    const room = (side) => Math.max(1, this.#screen[side] - 2 * MARGIN_PX) / this.#picture[side];
+    const room = (side) => Math.max(1, this.#screen[side] - 2 * MARGIN_PX) / this.#image[side];
     return Math.min(room("width"), room("height"), MAX_SCALE);
   }
 
@@ -105,8 +105,8 @@ export class View extends EventTarget {
       const keep = Math.min(KEEP_VISIBLE_PX, size, room);
       return Math.min(Math.max(start, keep - size), room - keep);
     };
-    this.left = clamp(this.left, this.#picture.width * this.scale, this.#screen.width);
-    this.top = clamp(this.top, this.#picture.height * this.scale, this.#screen.height);
+    this.left = clamp(this.left, this.#image.width * this.scale, this.#screen.width);
+    this.top = clamp(this.top, this.#image.height * this.scale, this.#screen.height);
   }
 
   #changed() {

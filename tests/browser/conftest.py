@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from desk import BROWSERS, KEYPOINTS, Desk, Labeller, Server, browser_path
+from page_driver import BROWSERS, KEYPOINTS, Labeller, PageSession, Server, browser_path
 from playwright.sync_api import Browser, sync_playwright
 
 from bendtrack.labeling.store import LabelStore, image_name
@@ -55,7 +55,7 @@ def sample_truth() -> dict[str, np.ndarray]:
 
 
 @pytest.fixture(scope="session")
-def sample_pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def sample_images(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A project with those frames, nothing labelled."""
     root = tmp_path_factory.mktemp("sample") / "study"
     store = LabelStore.of(Project.create(root, keypoints=KEYPOINTS))
@@ -68,44 +68,44 @@ def sample_pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def sample_project(sample_pictures: Path, tmp_path: Path) -> Project:
+def sample_project(sample_images: Path, tmp_path: Path) -> Project:
     """A copy of it for one test."""
-    return Project.open(shutil.copytree(sample_pictures, tmp_path / "study"))
+    return Project.open(shutil.copytree(sample_images, tmp_path / "study"))
 
 
 @pytest.fixture(scope="module")
-def make_desk(chromium: Browser, bendtrack) -> Iterator[Callable[[Path], Desk]]:
+def make_session(chromium: Browser, bendtrack) -> Iterator[Callable[[Path], PageSession]]:
     """Serves a project; afterwards nothing may have been complained of, or asked of another server."""
-    desks: list[Desk] = []
+    sessions: list[PageSession] = []
 
-    def make(root: Path) -> Desk:
-        desks.append(Desk(Server(bendtrack.command, root), chromium))
-        return desks[-1]
+    def make(root: Path) -> PageSession:
+        sessions.append(PageSession(Server(bendtrack.command, root), chromium))
+        return sessions[-1]
 
     yield make
-    for desk in desks:
-        desk.close()
-    assert [problem for desk in desks for problem in desk.problems] == []
+    for session in sessions:
+        session.close()
+    assert [problem for session in sessions for problem in session.problems] == []
 
 
 @pytest.fixture(scope="module")
-def desk(
-    make_desk: Callable[[Path], Desk], sample_pictures: Path, tmp_path_factory: pytest.TempPathFactory
-) -> Desk:
+def session(
+    make_session: Callable[[Path], PageSession], sample_images: Path, tmp_path_factory: pytest.TempPathFactory
+) -> PageSession:
     """One server for the tests of a file; each labels frames of its own."""
-    return make_desk(shutil.copytree(sample_pictures, tmp_path_factory.mktemp("desk") / "study"))
+    return make_session(shutil.copytree(sample_images, tmp_path_factory.mktemp("session") / "study"))
 
 
 @pytest.fixture
-def labeller(desk: Desk) -> Iterator[Labeller]:
-    labeller = desk.page()
+def labeller(session: PageSession) -> Iterator[Labeller]:
+    labeller = session.page()
     yield labeller
     labeller.page.close()
 
 
 @pytest.fixture
 def discs_project(tmp_path: Path) -> tuple[Project, np.ndarray]:
-    """Two pictures of four white discs, and where their centres are (4, 2) px."""
+    """Two images of four white discs, and where their centres are (4, 2) px."""
     xy = np.array([[100.25, 80.5], [300.75, 90.125], [420.5, 300.0], [37.0, 401.875]])
     image = np.zeros((480, 640, 3), np.uint8)
     for centre in xy:

@@ -1,4 +1,4 @@
-"""Everything else on the page: the angle, ghosts, the film strip, notes, repeats, large pictures, the look."""
+"""Everything else on the page: the angle, suggestions, the film strip, notes, repeats, large images, the look."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from desk import KEYPOINTS
+from page_driver import KEYPOINTS
 from playwright.sync_api import expect
 
 from bendtrack.labeling.store import LabelStore, image_name
@@ -88,11 +88,11 @@ def test_the_angle_on_the_page(labeller, sample_truth) -> None:
     assert labeller.xy_on_disk(image) == pytest.approx(clicked)
 
 
-def test_ghosts_copies_and_the_film_strip(make_desk, sample_project, sample_truth) -> None:
+def test_suggestions_copies_and_the_film_strip(make_session, sample_project, sample_truth) -> None:
     store = LabelStore.of(sample_project)
     images = list(sample_truth)
     store.write("video", {image: sample_truth[image] for image in (images[0], images[2])})
-    labeller = make_desk(sample_project.root).page()
+    labeller = make_session(sample_project.root).page()
     page = labeller.page
     assert page.locator("#stage").get_attribute("data-frame") == f"video/{images[1]}"  # the first to do
     labeller.press("g")
@@ -127,17 +127,17 @@ def test_ghosts_copies_and_the_film_strip(make_desk, sample_project, sample_trut
     labeller.saved()
     page.get_by_role("radio", name="All").click()
     assert page.locator('.film-frame[data-state="skipped"]').count() == 1
-    assert page.locator("#progress-words").inner_text() == "4 of 9 labelled"
+    assert page.locator("#progress-text").inner_text() == "4 of 9 labelled"
 
 
 @pytest.mark.slow
-def test_the_network_as_ghosts(make_desk, trained_project) -> None:
+def test_the_network_as_suggestions(make_session, trained_project) -> None:
     """A network that has learnt next to nothing and is sure of it: it disagrees with labels, and the page says so."""
     network = trained_project.models_dir / "model"
     checkpoint = load_checkpoint(network)
     sure = replace(checkpoint.calibration, scale=1e-9, label_sd_px=0.0)
     replace(checkpoint, calibration=sure).save(network)
-    labeller = make_desk(trained_project.root).page()
+    labeller = make_session(trained_project.root).page()
     page = labeller.page
     worst = page.get_by_role("radio", name="Worst")
     expect(worst).to_contain_text("10", timeout=60_000)  # looked at one after the other, unasked
@@ -148,21 +148,21 @@ def test_the_network_as_ghosts(make_desk, trained_project) -> None:
     assert distances[0] > 5
     image = page.locator(".film-frame").first.get_attribute("data-id").partition("/")[2]
     labeller.open(image, "arm")
-    expect(page.locator(".point.doubted")).not_to_have_count(0)
+    expect(page.locator(".point.warning")).not_to_have_count(0)
     assert f"{distances[0]:.1f} px" in page.locator("#points").inner_text()
     label = labeller.xy_on_disk(image, "arm")
     labeller.press("g")  # nothing is missing: no label is replaced by accident
     assert labeller.xy_on_disk(image, "arm") == pytest.approx(label)
     labeller.press("Shift+G")
     labeller.saved()
-    expect(page.locator(".point.doubted")).to_have_count(0)
+    expect(page.locator(".point.warning")).to_have_count(0)
     assert np.abs(labeller.xy_on_disk(image, "arm") - label).max() > 2
 
 
-def test_blind_repeats(make_desk, sample_project, sample_truth) -> None:
+def test_blind_repeats(make_session, sample_project, sample_truth) -> None:
     store = LabelStore.of(sample_project)
     store.write("video", sample_truth)
-    labeller = make_desk(sample_project.root).page()
+    labeller = make_session(sample_project.root).page()
     page = labeller.page
     answers: list[str] = []
     page.on(
@@ -194,7 +194,7 @@ def test_blind_repeats(make_desk, sample_project, sample_truth) -> None:
     assert LabelStore.of(sample_project).read()[0].xy == pytest.approx(sample_truth["img00086.png"])
 
 
-def test_a_4k_frame_is_ready_before_it_is_wanted(make_desk, tmp_path: Path, capsys) -> None:
+def test_a_4k_frame_is_ready_before_it_is_wanted(make_session, tmp_path: Path, capsys) -> None:
     rng = np.random.default_rng(RNG_SEED)
     project = Project.create(tmp_path / "large", keypoints=KEYPOINTS)
     for frame in range(3):
@@ -203,13 +203,14 @@ def test_a_4k_frame_is_ready_before_it_is_wanted(make_desk, tmp_path: Path, caps
             "video", image_name(frame), np.kron(coarse, np.ones((16, 16, 1), np.uint8))
         )
     asked: list[str] = []
-    desk = make_desk(project.root)
-    desk.on_request = lambda url: "/image?" in url and asked.append(url.split("/")[-2])
-    labeller = desk.page()
+    session = make_session(project.root)
+    session.on_request = lambda url: "/image?" in url and asked.append(url.split("/")[-2])
+    labeller = session.page()
     page = labeller.page
-    while len(set(asked)) < 3:
-        page.wait_for_timeout(100)
-    page.wait_for_timeout(1000)  # decoded
+    labeller.until(lambda: len(set(asked)) == 3)
+    page.wait_for_function(
+        "() => performance.getEntriesByType('resource').filter(e => e.name.includes('/image?')).length === 3"
+    )
     asked.clear()
     for frame in (1, 2):
         labeller.press("d")
@@ -226,7 +227,7 @@ def test_tone_theme_help_and_loupe(labeller) -> None:
     def middle() -> bytes:
         box = page.locator("#stage").bounding_box()
         page.mouse.move(5, 5)
-        page.wait_for_timeout(100)
+        labeller.view()  # what hung on the pointer is gone
         clip = {"x": box["x"] + 300, "y": box["y"] + 200, "width": 200, "height": 200}
         return page.screenshot(clip=clip)
 
@@ -260,17 +261,17 @@ def points_shown(labeller) -> np.ndarray:
     return np.array([[float(c) for c in w.split()] if len(w.split()) == 2 else [np.nan] * 2 for w in words])
 
 
-def test_frames_that_come_and_go(make_desk, sample_project) -> None:
-    desk = make_desk(sample_project.root)
-    labeller = desk.page()
+def test_frames_that_come_and_go(make_session, sample_project) -> None:
+    session = make_session(sample_project.root)
+    labeller = session.page()
     page, folder = labeller.page, sample_project.labels_dir / "video"
-    pictures = {path: path.read_bytes() for path in folder.glob("*.png")}
-    for path in pictures:
+    images = {path: path.read_bytes() for path in folder.glob("*.png")}
+    for path in images:
         path.unlink()
     expect(page.locator("#empty")).to_contain_text("bendtrack frames", timeout=15_000)
-    for path, data in list(pictures.items())[:3]:
+    for path, data in list(images.items())[:3]:
         path.write_bytes(data)
     expect(page.locator(".film-frame")).to_have_count(3, timeout=15_000)
     expect(page.locator("#points")).to_be_visible()
     # What was not there was asked for, and refused.
-    desk.problems[:] = [problem for problem in desk.problems if not re.search("404|503", problem)]
+    session.problems[:] = [problem for problem in session.problems if not re.search("404|503", problem)]

@@ -5,7 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from desk import KEYPOINTS
+from page_driver import KEYPOINTS
+from playwright.sync_api import expect
 
 
 def test_five_frames_of_the_sample_trial(labeller, sample_truth, capsys) -> None:
@@ -36,7 +37,7 @@ def test_five_frames_of_the_sample_trial(labeller, sample_truth, capsys) -> None
             )  # two decimals are kept
         assert labeller.xy_on_disk(image) == pytest.approx(truth, abs=at_zoom_4)
     done = page.locator('.film-frame[data-state="labelled"]').count()
-    assert (done, page.locator("#progress-words").inner_text()) == (5, "5 of 10 labelled")
+    assert (done, page.locator("#progress-text").inner_text()) == (5, "5 of 10 labelled")
     click_to_saved_ms = page.evaluate("window.times.saved")
     frame_to_frame_ms = page.evaluate("performance.getEntriesByName('frame opened').map(e => e.duration)")[1:]
     with capsys.disabled():
@@ -51,20 +52,19 @@ def test_the_open_frame_chosen_again_takes_clicks_at_once(labeller, sample_truth
     held = []
     labeller.page.route("**/api/frames/**", lambda route: held.append(route), times=1)  # a slow server
     labeller.open(image)
-    while not held:
-        labeller.page.wait_for_timeout(20)
+    labeller.until(lambda: bool(held))
     clicked = labeller.click(sample_truth[image][0])
     held[0].continue_()
     labeller.saved()
     assert labeller.xy_on_disk(image)[0] == pytest.approx(clicked, abs=0.0051)
 
 
-def test_what_is_seen_is_what_is_saved(make_desk, discs_project) -> None:
+def test_what_is_seen_is_what_is_saved(make_session, discs_project) -> None:
     """Where a disc is on the screen is taken from a screenshot, not from the page; on screens of both kinds."""
     project, truth = discs_project
-    desk = make_desk(project.root)
+    session = make_session(project.root)
     for image, ratio in (("img00000.png", 1), ("img00001.png", 2)):
-        labeller = desk.page(pixel_ratio=ratio)
+        labeller = session.page(pixel_ratio=ratio)
         labeller.open(image)
         labeller.press("l")  # no loupe over the discs
         for k, (xy, zoom) in enumerate(zip(truth, (None, 4.0), strict=False)):
@@ -84,7 +84,7 @@ def seen_disc(labeller, xy: np.ndarray, ratio: int) -> tuple[float, float]:
     clip = {"x": near[0] - reach, "y": near[1] - reach, "width": 2 * reach, "height": 2 * reach}
     shot = np.frombuffer(labeller.page.screenshot(clip=clip), np.uint8)
     light = cv2.imdecode(shot, cv2.IMREAD_GRAYSCALE).astype(float)
-    light[light < 40] = 0  # the surround of the picture is not quite black
+    light[light < 40] = 0  # the surround of the image is not quite black
     y, x = (np.mgrid[: light.shape[0], : light.shape[1]] + 0.5) / ratio
     return clip["x"] + (light * x).sum() / light.sum(), clip["y"] + (light * y).sum() / light.sum()
 
@@ -139,10 +139,11 @@ def test_all_by_keyboard(labeller, sample_truth) -> None:
     """A frame without touching the mouse: aim with the arrows, place with Enter, go on with Enter."""
     image, truth = "img00300.png", sample_truth["img00300.png"]
     for _ in range(len(sample_truth)):
-        if labeller.page.locator("#stage").get_attribute("data-frame") == f"video/{image}":
+        opened = labeller.page.locator("#stage").get_attribute("data-frame")
+        if opened == f"video/{image}":
             break
         labeller.press("d")
-        labeller.page.wait_for_timeout(200)
+        expect(labeller.page.locator("#stage")).not_to_have_attribute("data-frame", str(opened))
     for k, xy in enumerate(truth):
         labeller.press("Enter")  # the crosshair
         target = np.round(xy * 4) / 4

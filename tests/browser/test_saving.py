@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -40,16 +41,18 @@ def test_undo_and_redo_over_a_reload(labeller, sample_truth) -> None:
     assert labeller.xy_on_disk(image) == pytest.approx(placed)
 
 
-def test_server_killed_in_the_middle(desk, sample_truth) -> None:
+def test_server_killed_in_the_middle(session, sample_truth) -> None:
     image = "img00111.png"
-    labeller, truth = desk.page(), sample_truth[image]
+    labeller, truth = session.page(), sample_truth[image]
     page, sent = labeller.page, []
     page.on("request", lambda request: request.method == "PUT" and sent.append(request.post_data))
     labeller.open(image)
     labeller.click(truth[0])
     labeller.saved()
     # The first answer is lost on the way: the server has done the edit, the page does not know.
-    page.route("**/api/frames/**", lambda route: (route.fetch(), desk.server.kill(), route.abort()), times=1)
+    page.route(
+        "**/api/frames/**", lambda route: (route.fetch(), session.server.kill(), route.abort()), times=1
+    )
     clicked = labeller.click(truth[1])
     page.wait_for_selector('#saving[data-state="offline"]')
     assert labeller.xy_on_disk(image)[1] == pytest.approx(clicked, abs=0.0051)
@@ -57,7 +60,7 @@ def test_server_killed_in_the_middle(desk, sample_truth) -> None:
     labeller.click(truth[2])
     labeller.press("ArrowLeft")
     assert "3 edits" in page.locator("#saving").inner_text()
-    desk.server.start()
+    session.server.start()
     labeller.saved()
     labeller.click(truth[3])
     labeller.saved()
@@ -66,27 +69,28 @@ def test_server_killed_in_the_middle(desk, sample_truth) -> None:
     ids = [json.loads(body)["edit_id"] for body in sent]
     assert ids.count(ids[1]) > 1  # sent again, under its own name: done once,
     for _ in range(4):  # so four steps back are before the second click
+        before = page.locator("#points").inner_text()
         labeller.press("z")
-        labeller.page.wait_for_timeout(150)
+        page.wait_for_function("before => document.querySelector('#points').innerText !== before", arg=before)
     expect(page.locator("#points .point-value").nth(1)).to_have_text("next")
     assert np.isnan(labeller.xy_on_disk(image)).any(axis=1).tolist() == [False, True, True, True]
     page.close()
 
 
-def test_edits_outlive_their_tab(desk, sample_truth) -> None:
+def test_edits_outlive_their_tab(session, sample_truth) -> None:
     """The server is gone, then the browser's tab too: the next tab sends what the first could not."""
     image = "img00136.png"
-    labeller, truth = desk.page(), sample_truth[image]
+    labeller, truth = session.page(), sample_truth[image]
     labeller.open(image)
     labeller.click(truth[0])
     labeller.saved()
-    desk.server.kill()
+    session.server.kill()
     for xy in truth[1:]:
         labeller.click(xy)
     labeller.page.wait_for_selector('#saving[data-state="offline"]')
     labeller.page.close()
-    desk.server.start()
-    again = desk.page()
+    session.server.start()
+    again = session.page()
     expect(again.page.locator(f'[data-id="video/{image}"]')).to_have_attribute("data-state", "labelled")
     again.saved()
     assert np.abs(again.xy_on_disk(image) - truth).max() < 1.0
@@ -94,8 +98,8 @@ def test_edits_outlive_their_tab(desk, sample_truth) -> None:
     again.page.close()
 
 
-def test_two_tabs(desk, sample_truth) -> None:
-    one, two = desk.page(), desk.page()
+def test_two_tabs(session, sample_truth) -> None:
+    one, two = session.page(), session.page()
     held: list[Route] = []
     for image, choice in (("img00149.png", "mine"), ("img00178.png", "theirs")):
         truth = sample_truth[image]
@@ -111,8 +115,7 @@ def test_two_tabs(desk, sample_truth) -> None:
         held.clear()
         two.page.route("**/api/frames/**", lambda route: held.append(route), times=1)
         mine = two.click(truth[1] + 6)
-        while not held:
-            two.page.wait_for_timeout(20)
+        two.until(lambda: bool(held))
         theirs = one.click(truth[1])
         one.saved()
         held[0].continue_()
@@ -148,12 +151,13 @@ def test_an_answer_while_the_button_is_down_takes_no_point_away(labeller, sample
     labeller.click(truth[0])
     page.mouse.move(*labeller.screen(truth[1]))
     page.mouse.down()
-    page.wait_for_timeout(100)
+    expect(page.locator("#points .point-value").nth(1)).to_have_class(re.compile(r"\bnumbers\b"))
+    labeller.until(lambda: bool(held))
     with page.expect_response(lambda answer: answer.request.method == "PUT"):
         held.pop().continue_()
-    page.wait_for_timeout(100)
+    labeller.saved()  # the answer has been taken in
     page.mouse.up()
-    page.wait_for_timeout(100)
+    labeller.until(lambda: bool(held))
     held.pop().continue_()
     labeller.saved()
     assert np.abs(labeller.xy_on_disk(image)[:2] - truth[:2]).max() < 1.0
@@ -174,8 +178,7 @@ def test_a_list_from_before_an_edit_does_not_hide_it(labeller, sample_truth) -> 
     page.route("**/api/frames", hold_second)
     page.reload()
     labeller.opened(image)
-    while not held:
-        page.wait_for_timeout(20)
+    labeller.until(lambda: bool(held))
     for xy in truth:
         labeller.click(xy)
     labeller.saved()
@@ -183,6 +186,9 @@ def test_a_list_from_before_an_edit_does_not_hide_it(labeller, sample_truth) -> 
     expect(frame).to_have_attribute("data-state", "labelled")
     labeller.open(other)
     route, answer = held.pop()
+    listed: list[str] = []
+    page.on("requestfinished", lambda request: request.url.endswith("/api/frames") and listed.append("once"))
     route.fulfill(response=answer)
-    page.wait_for_timeout(300)
+    labeller.until(lambda: len(listed) == 2)  # the old list, and the one that is fetched in its place
+    labeller.view()
     expect(frame).to_have_attribute("data-state", "labelled")

@@ -37,7 +37,7 @@ _FORKS.set_forkserver_preload(["bendtrack.labeling.serving"])
 
 @dataclass(frozen=True)
 class Study:
-    """A project with pictures of one video, none labelled, and what its frames are called."""
+    """A project with images of one video, none labelled, and what its frames are called."""
 
     project: Project
     keypoints = KEYPOINTS
@@ -49,8 +49,8 @@ class Study:
         study = cls(Project.create(root, keypoints=KEYPOINTS))
         study.folder.mkdir(parents=True)
         for index in range(frames):
-            picture = np.full((SIZE_WH[1], SIZE_WH[0], 3), 20 + 5 * index, np.uint8)
-            assert cv2.imwrite(str(study.folder / study.image(index)), picture)
+            image = np.full((SIZE_WH[1], SIZE_WH[0], 3), 20 + 5 * index, np.uint8)
+            assert cv2.imwrite(str(study.folder / study.image(index)), image)
         return study
 
     @property

@@ -8,8 +8,8 @@ import pytest
 
 from bendtrack.labeling.annotations import Annotations
 from bendtrack.labeling.frame_state import FrameState, Progress
+from bendtrack.labeling.notes_file import read_notes, write_notes
 from bendtrack.labeling.private_folder import PrivateFolder
-from bendtrack.labeling.side_data import read_notes, write_notes
 from bendtrack.labeling.store import LabelStore
 from bendtrack.tracker.errors import LabelError, ProjectError
 
@@ -84,7 +84,7 @@ def test_changes_by_another_program_are_seen(study) -> None:
     notes_text(study, {study.image(0): {"note": "theirs"}})
     assert annotations.folder(study.video).states[study.image(0)].note == "theirs"
     (study.folder / study.image(5)).unlink()
-    assert study.image(5) not in annotations.folder(study.video).pictures
+    assert study.image(5) not in annotations.folder(study.video).images
 
 
 def test_another_persons_labels_are_seen_and_left_alone(study) -> None:
@@ -134,7 +134,7 @@ def test_links_within_the_project_are_followed_and_no_others(study) -> None:
     outside.write_bytes((study.folder / study.image(0)).read_bytes())
     (study.folder / "img00996.png").symlink_to(outside)
     (study.folder / "img00997.png").symlink_to("nowhere.png")
-    names = set(Annotations(study.project).folder(study.video).pictures)
+    names = set(Annotations(study.project).folder(study.video).images)
     assert names == {*(study.image(n) for n in range(12)), "img00995.png"}
 
 
@@ -153,9 +153,9 @@ def test_a_private_folder_that_is_a_link_is_refused(study) -> None:
         PrivateFolder(study.root)
 
 
-def test_pictures_come_in_the_order_of_their_frames(study) -> None:
+def test_images_come_in_the_order_of_their_frames(study) -> None:
     for name in ("img9.png", "close-up.png", "img100000.png"):
         (study.folder / name).write_bytes((study.folder / study.image(0)).read_bytes())
-    names = list(Annotations(study.project).folder(study.video).pictures)
+    names = list(Annotations(study.project).folder(study.video).images)
     assert names[:3] == [study.image(0), "img9.png", study.image(1)]
     assert names[-2:] == ["img100000.png", "close-up.png"]

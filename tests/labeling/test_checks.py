@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bendtrack.labeling.checks import Finding, Problem, check_labels
-from bendtrack.labeling.side_data import write_notes
+from bendtrack.labeling.notes_file import write_notes
 from bendtrack.labeling.store import LabelStore, image_name
 from bendtrack.tracker.errors import LabelError
 from bendtrack.tracker.project import Project
@@ -29,15 +29,15 @@ def bend_xy(seed: int, frames: int = 30) -> np.ndarray:
 
 
 def labelled(root: Path, xy: np.ndarray, video: str = "v", project: Project | None = None) -> Project:
-    """A project with these labels, each on a picture of its own."""
+    """A project with these labels, each on an image of its own."""
     project = project or Project.create(root, keypoints=KEYPOINTS)
     store = LabelStore.of(project)
     (store.labels_dir / video).mkdir(parents=True)
     for index in range(len(xy)):
-        picture = np.zeros((480, 640), np.uint8)
-        picture[0, : 8 * len(video)] = np.repeat(np.frombuffer(video.encode(), np.uint8), 8)
-        picture[1, index] = 255
-        cv2.imwrite(str(store.labels_dir / video / image_name(index)), picture)
+        image = np.zeros((480, 640), np.uint8)
+        image[0, : 8 * len(video)] = np.repeat(np.frombuffer(video.encode(), np.uint8), 8)
+        image[1, index] = 255
+        cv2.imwrite(str(store.labels_dir / video / image_name(index)), image)
     store.write(video, {image_name(index): points for index, points in enumerate(xy)})
     return project
 
@@ -122,7 +122,7 @@ def test_points_that_are_missing_outside_or_at_one_place(tmp_path: Path) -> None
     assert [(f.image, f.keypoints) for f in by_problem[Problem.MISSING]] == [
         (image_name(3), ("tip_1", "tip_2"))
     ]
-    assert [(f.image, f.keypoints) for f in by_problem[Problem.ONE_PLACE]] == [
+    assert [(f.image, f.keypoints) for f in by_problem[Problem.COINCIDENT]] == [
         (image_name(5), ("tip_1", "tip_2"))
     ]
     assert [(f.image, f.keypoints) for f in by_problem[Problem.OUTSIDE]] == [(image_name(7), ("base_1",))]
@@ -130,17 +130,17 @@ def test_points_that_are_missing_outside_or_at_one_place(tmp_path: Path) -> None
     write_notes(project.labels_dir / "v", image_name(3), {"not_visible": ["tip_1", "tip_2"]})
     write_notes(project.labels_dir / "v", image_name(5), {"skipped": True})
     left = {f.problem for f in check_labels(project).findings}
-    assert not left & {Problem.MISSING, Problem.ONE_PLACE}
+    assert not left & {Problem.MISSING, Problem.COINCIDENT}
 
 
-def test_the_same_picture_under_two_names(tmp_path: Path) -> None:
+def test_the_same_image_under_two_names(tmp_path: Path) -> None:
     project = labelled(tmp_path, hand(0, bend_xy(0)))
     folder = project.labels_dir / "v"
-    picture = cv2.imread(str(folder / image_name(2)))
-    cv2.imwrite(str(folder / image_name(17)), picture, [cv2.IMWRITE_PNG_COMPRESSION, 0])
+    image = cv2.imread(str(folder / image_name(2)))
+    cv2.imwrite(str(folder / image_name(17)), image, [cv2.IMWRITE_PNG_COMPRESSION, 0])
     assert (folder / image_name(17)).read_bytes() != (folder / image_name(2)).read_bytes()
     report = check_labels(project)
-    assert [(f.image, f.problem) for f in report.findings] == [(image_name(17), Problem.SAME_PICTURE)]
+    assert [(f.image, f.problem) for f in report.findings] == [(image_name(17), Problem.DUPLICATE)]
     assert "v/img00002.png" in report.findings[0].message
 
 
@@ -177,10 +177,10 @@ def test_what_moves_freely_is_not_compared(tmp_path: Path) -> None:
     assert report.notes == ["default: the labels do not follow one motion: not compared with each other"]
 
 
-def test_a_project_without_labels_or_with_a_broken_picture_cannot_be_checked(tmp_path: Path) -> None:
+def test_a_project_without_labels_or_with_a_broken_image_cannot_be_checked(tmp_path: Path) -> None:
     with pytest.raises(LabelError, match="expected labelled frames to check, got none"):
         check_labels(Project.create(tmp_path / "a", keypoints=KEYPOINTS))
     project = labelled(tmp_path / "b", bend_xy(0, 9))
-    (project.labels_dir / "v" / image_name(4)).write_bytes(b"no picture")
-    with pytest.raises(LabelError, match=r"img00004\.png: expected a picture"):
+    (project.labels_dir / "v" / image_name(4)).write_bytes(b"no image")
+    with pytest.raises(LabelError, match=r"img00004\.png: expected an image"):
         check_labels(project)

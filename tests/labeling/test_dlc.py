@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from bendtrack.labeling.interop.dlc import export_dlc, import_dlc, project_for
-from bendtrack.labeling.interop.dlc_source import open_source
+from bendtrack.labeling.interop.dlc_source import open_dlc
 from bendtrack.labeling.store import LabelStore, image_name
 from bendtrack.tracker.errors import LabelError, ProjectError
 from bendtrack.tracker.project import Project
@@ -25,13 +25,13 @@ WH = (64, 48)
 XY = np.array([[1.5, 2.0], [10.1, 20.2], [30.0, 40.0], [63.4, -0.4]])
 
 
-def picture(seed: int, size_wh: tuple[int, int] = WH) -> np.ndarray:
+def image(seed: int, size_wh: tuple[int, int] = WH) -> np.ndarray:
     return np.random.default_rng(seed).integers(0, 255, (size_wh[1], size_wh[0], 3), dtype=np.uint8)
 
 
 def row_text(image: str, xy: np.ndarray = XY, video: str = "v") -> str:
-    cells = ",".join("" if np.isnan(value) else repr(float(value)) for value in xy.ravel())
-    return f"labeled-data/{video}/{image},{cells}\n"
+    clusters = ",".join("" if np.isnan(value) else repr(float(value)) for value in xy.ravel())
+    return f"labeled-data/{video}/{image},{clusters}\n"
 
 
 def header(bodyparts: tuple[str, ...] = FOUR, scorer: str = "Ana") -> str:
@@ -56,7 +56,7 @@ def source(tmp_path: Path) -> Path:
     folder = root / "labeled-data" / "v"
     folder.mkdir(parents=True)
     for frame in (0, 7, 9, 12):
-        cv2.imwrite(str(folder / f"img{frame:03d}.png"), picture(frame))
+        cv2.imwrite(str(folder / f"img{frame:03d}.png"), image(frame))
     partly = XY + 1.25
     partly[3] = np.nan
     (folder / "CollectedData_Ana.csv").write_text(
@@ -105,7 +105,7 @@ def test_a_project_comes_in_whole(source: Path, project: Project) -> None:
     assert report.skipped == []
     assert report.warnings == []
     assert report.summary() == (
-        "2 labelled frames imported, 0 already there, 4 pictures copied, 2 have no labels, 0 left out"
+        "2 labelled frames imported, 0 already there, 4 images copied, 2 have no labels, 0 left out"
     )
 
 
@@ -168,12 +168,10 @@ def test_points_that_the_project_lacks_are_filled_in(source: Path, project: Proj
     np.testing.assert_array_equal(labels(project)[0].xy, XY)
 
 
-def test_another_picture_of_that_name_stays_and_its_labels_are_left_out(
-    source: Path, project: Project
-) -> None:
-    LabelStore.of(project).add_image("v", "img000.png", picture(99))
+def test_another_image_of_that_name_stays_and_its_labels_are_left_out(source: Path, project: Project) -> None:
+    LabelStore.of(project).add_image("v", "img000.png", image(99))
     report = import_dlc(source, project)
-    assert report.skipped == ["v/img000.png: the project has another picture of that name, kept"]
+    assert report.skipped == ["v/img000.png: the project has another image of that name, kept"]
     assert [f.frame for f in labels(project)] == [7]
     assert import_dlc(source, project, overwrite=True).skipped == []
     assert [f.frame for f in labels(project)] == [0, 7]
@@ -181,11 +179,11 @@ def test_another_picture_of_that_name_stays_and_its_labels_are_left_out(
 
 def test_what_cannot_be_used_is_left_out_and_said(source: Path, project: Project) -> None:
     folder = source / "labeled-data" / "v"
-    (folder / "img001.png").write_bytes(b"no picture")
+    (folder / "img001.png").write_bytes(b"no image")
     (folder / "img002.png").touch()
-    cv2.imwrite(str(folder / "img003.png"), picture(3, (32, 24)))
+    cv2.imwrite(str(folder / "img003.png"), image(3, (32, 24)))
     for frame in (4, 5, 6):
-        cv2.imwrite(str(folder / f"img{frame:03d}.png"), picture(frame))
+        cv2.imwrite(str(folder / f"img{frame:03d}.png"), image(frame))
     outside, on_the_edge = XY.copy(), XY.copy()
     outside[1] = [64.0, 10.0]
     on_the_edge[1] = [63.5, 47.5]
@@ -199,10 +197,10 @@ def test_what_cannot_be_used_is_left_out_and_said(source: Path, project: Project
     report = import_dlc(source, project)
     said = "\n".join(report.skipped)
     for expected in (
-        "v/img001.png: expected a picture, got a file that does not open as one",
-        "v/img002.png: expected a picture, got a file that does not open as one",
-        "v/img003.png: expected 64 x 48 px as other pictures of this video, got 32 x 24",
-        "v/img008.png: no such picture in ",
+        "v/img001.png: expected an image, got a file that does not open as one",
+        "v/img002.png: expected an image, got a file that does not open as one",
+        "v/img003.png: expected 64 x 48 px as other images of this video, got 32 x 24",
+        "v/img008.png: no such image in ",
         "v/img004.png: expected 'base_2' inside the 64 x 48 px, got (64, 10)",
         "column tip_1 x: expected a number of px, got 'thirty'",
         "img000.png is labelled twice, expected 1.5",
@@ -287,7 +285,7 @@ def test_sources_without_labels(source: Path, project: Project, tmp_path: Path) 
         import_dlc(tmp_path / "notes.txt", project)
 
 
-# --- in, with the video instead of the pictures ----------------------------------------------------------
+# --- in, with the video instead of the images ----------------------------------------------------------
 
 
 def write_video(path: Path, frames: int) -> None:
@@ -297,7 +295,7 @@ def write_video(path: Path, frames: int) -> None:
             writer.write(np.full((WH[1], WH[0], 3), 8 * index, np.uint8))
 
 
-def test_pictures_that_are_missing_come_out_of_the_video(tmp_path: Path, project: Project) -> None:
+def test_images_that_are_missing_come_out_of_the_video(tmp_path: Path, project: Project) -> None:
     video = tmp_path / "trial 1.5Hz.mp4"
     write_video(video, 20)
     file = tmp_path / "labels.csv"
@@ -336,13 +334,13 @@ def test_two_videos_of_one_name_are_not_guessed_between(
     assert not (tmp_path / "out").exists()
 
 
-def test_labels_without_pictures_and_without_their_video(tmp_path: Path, project: Project) -> None:
+def test_labels_without_images_and_without_their_video(tmp_path: Path, project: Project) -> None:
     write_video(tmp_path / "other.mp4", 2)
     file = tmp_path / "labels.csv"
     file.write_text(header() + row_text("img00003.png"))
     report = import_dlc(file, project, videos=[tmp_path / "other.mp4"])
     assert len(report.skipped) == 1
-    assert "v/img00003.png: no such picture in " in report.skipped[0]
+    assert "v/img00003.png: no such image in " in report.skipped[0]
     assert report.warnings == ["other.mp4: no labels are named after this video"]
     assert labels(project) == []
 
@@ -395,7 +393,7 @@ def test_export_never_writes_over_something(source: Path, project: Project, tmp_
 def test_an_export_that_fails_leaves_nothing(source: Path, project: Project, tmp_path: Path) -> None:
     import_dlc(source, project)
     (project.labels_dir / "w").mkdir()
-    (project.labels_dir / "w" / "img0.png").write_bytes(b"no picture")
+    (project.labels_dir / "w" / "img0.png").write_bytes(b"no image")
     before = sorted(p.name for p in tmp_path.iterdir())
     with pytest.raises(LabelError, match="does not open as one"):
         export_dlc(project, tmp_path / "out")
@@ -439,7 +437,7 @@ def test_a_real_project_goes_in_and_out_without_a_difference(tmp_path: Path) -> 
     import_dlc(tmp_path / "out", again)
     assert same(labels(project), labels(again))
 
-    # Against the file as pandas reads it, and the pictures byte for byte.
+    # Against the file as pandas reads it, and the images byte for byte.
     original = pd.read_csv(next(OPENFIELD.glob("labeled-data/m4s1/*.csv")), header=[0, 1, 2], index_col=0)
     frames = labels(again)
     np.testing.assert_array_equal([f.xy.ravel() for f in frames], original.to_numpy())
@@ -450,6 +448,6 @@ def test_a_real_project_goes_in_and_out_without_a_difference(tmp_path: Path) -> 
 def test_the_real_config_is_read() -> None:
     if not OPENFIELD.is_dir():
         pytest.skip("DeepLabCut's openfield example is not at hand (see $BENDTRACK_OPENFIELD)")
-    source = open_source(OPENFIELD)
+    source = open_dlc(OPENFIELD)
     assert source.keypoints == ("snout", "leftear", "rightear", "tailbase")
     assert source.scorer == "Pranav"

@@ -177,7 +177,7 @@ def test_what_was_begun_is_given_up_when_someone_else_came_first(study) -> None:
     assert study.csv.read_text() == theirs
 
 
-def test_a_line_cut_short_by_a_power_failure_is_passed_over(study) -> None:
+def test_a_line_cut_short_by_a_power_failure_is_skipped(study) -> None:
     Hand(study).edit(0, points=POINTS)
     lines = journal_lines(study)
     write_journal(study, [*lines, lines[0][:57]])

@@ -16,7 +16,7 @@ POINTS = {"base_1": [10.25, 20.5], "base_2": [30.0, 20.75], "tip_1": [50.125, 30
 
 
 @pytest.fixture(scope="module")
-def besieged(make_study, serve_for_module):
+def hostile_study(make_study, serve_for_module):
     """A study with labels and traps, and a page on a server: (study, page). Shared, as nothing may change it."""
     study = make_study()
     (study.root.parent / "outside.txt").write_bytes(SECRET)
@@ -25,7 +25,7 @@ def besieged(make_study, serve_for_module):
     (study.root.parent / "outside.png").write_bytes(SECRET)
     page = serve_for_module(study).page()
     assert page.put(0, points=POINTS, note="mine").status == 200
-    # Links that lead out, as a picture and as a whole video's folder.
+    # Links that lead out, as an image and as a whole video's folder.
     (study.folder / "img09990.png").symlink_to(study.root.parent / "outside.png")
     (study.root / "labeled-data" / "elsewhere").symlink_to(study.root.parent / "outside")
     (study.folder / "img09980.png").mkdir()
@@ -33,9 +33,9 @@ def besieged(make_study, serve_for_module):
 
 
 @pytest.fixture
-def unharmed(besieged) -> Iterator[None]:
+def unchanged(hostile_study) -> Iterator[None]:
     """Holds that a test changed no file."""
-    study, _ = besieged
+    study, _ = hostile_study
     before = study.fingerprint()
     journal = (study.root / ".bendtrack" / "journal.jsonl").read_bytes()
     yield
@@ -61,43 +61,43 @@ def an_edit(page, study, index: int = 0, **fields: object) -> dict[str, object]:
     }
 
 
-@pytest.mark.usefixtures("unharmed")
+@pytest.mark.usefixtures("unchanged")
 class TestWhoIsLetIn:
     @pytest.mark.parametrize(
         "path", ["/", "/page/main.js", "/api/project", "/api/frames", "/api/events", "/nothing"]
     )
-    def test_nobody_without_the_cookie(self, besieged, path) -> None:
-        _, page = besieged
+    def test_nobody_without_the_cookie(self, hostile_study, path) -> None:
+        _, page = hostile_study
         refused(page("GET", path, Cookie=None), 401)
         refused(page("GET", path, Cookie=f"bendtrack-{page.port}=guess"), 401)
         refused(page("GET", path, Cookie=page.cookie[:-1]), 401)
         refused(page("GET", path, Cookie=page.cookie.replace(str(page.port), "1")), 401)
         refused(page("GET", path, Cookie='"; =;;'), 401)
 
-    def test_no_edit_without_the_cookie(self, besieged) -> None:
-        study, page = besieged
+    def test_no_edit_without_the_cookie(self, hostile_study) -> None:
+        study, page = hostile_study
         refused(page("PUT", study.address(0), an_edit(page, study), Cookie=None), 401)
 
     @pytest.mark.parametrize(
         "query", ["token=", "token=guess", "token=a&token=b", "token=%00%ff", "token=%C3%A9"]
     )
-    def test_nobody_by_a_wrong_token(self, besieged, query) -> None:
-        _, page = besieged
+    def test_nobody_by_a_wrong_token(self, hostile_study, query) -> None:
+        _, page = hostile_study
         refused(page("GET", f"/?{query}", Cookie=None), 403)
 
     @pytest.mark.parametrize(
         "host",
         ["evil.example", "127.0.0.1", "127.0.0.1:1", "localhost.evil.example:{port}", "[::1]:{port}", ""],
     )
-    def test_nobody_under_another_name(self, besieged, host) -> None:
+    def test_nobody_under_another_name(self, hostile_study, host) -> None:
         # A name of a stranger's that leads to 127.0.0.1 (DNS rebinding).
-        study, page = besieged
+        study, page = hostile_study
         host = host.format(port=page.port)
         refused(page("GET", "/api/frames", Host=host), 403)
         refused(page("PUT", study.address(0), an_edit(page, study), Host=host), 403)
 
-    def test_localhost_is_this_machine_too(self, besieged) -> None:
-        _, page = besieged
+    def test_localhost_is_this_machine_too(self, hostile_study) -> None:
+        _, page = hostile_study
         assert page("GET", "/api/project", Host=f"localhost:{page.port}").status == 200
 
     @pytest.mark.parametrize(
@@ -110,8 +110,8 @@ class TestWhoIsLetIn:
             "http://localhost:{port}",
         ],
     )
-    def test_no_other_page(self, besieged, origin) -> None:
-        study, page = besieged
+    def test_no_other_page(self, hostile_study, origin) -> None:
+        study, page = hostile_study
         origin = origin.format(port=page.port)
         refused(page("GET", "/api/frames", Origin=origin), 403)
         refused(page("PUT", study.address(0), an_edit(page, study), Origin=origin), 403)
@@ -119,8 +119,8 @@ class TestWhoIsLetIn:
             page("POST", "/api/undo", {"edit_id": str(uuid.uuid4()), "client_id": "anna"}, Origin=origin), 403
         )
 
-    def test_no_picture_for_another_page(self, besieged) -> None:
-        _, page = besieged
+    def test_no_image_for_another_page(self, hostile_study) -> None:
+        _, page = hostile_study
         address = page.get("/api/frames")["frames"][0]["image_url"]
         for site in ("cross-site", "same-site"):
             refused(page("GET", address, Sec_Fetch_Site=site, Sec_Fetch_Mode="no-cors"), 403)
@@ -129,30 +129,30 @@ class TestWhoIsLetIn:
     @pytest.mark.parametrize(
         ("missing", "status"), [("Origin", 403), ("X_Bendtrack", 403), ("Content_Type", 415)]
     )
-    def test_no_change_by_a_form(self, besieged, missing, status) -> None:
-        study, page = besieged
+    def test_no_change_by_a_form(self, hostile_study, missing, status) -> None:
+        study, page = hostile_study
         refused(page("PUT", study.address(0), an_edit(page, study), **{missing: None}), status)
 
     @pytest.mark.parametrize(
         "kind", ["text/plain", "application/x-www-form-urlencoded", "application/jsonp", ""]
     )
-    def test_no_change_by_what_is_not_json(self, besieged, kind) -> None:
-        study, page = besieged
+    def test_no_change_by_what_is_not_json(self, hostile_study, kind) -> None:
+        study, page = hostile_study
         refused(page("PUT", study.address(0), an_edit(page, study), Content_Type=kind), 415)
 
     @pytest.mark.parametrize("method", ["DELETE", "OPTIONS", "PATCH", "TRACE", "CONNECT", "PROPFIND"])
-    def test_no_other_method(self, besieged, method) -> None:
-        study, page = besieged
+    def test_no_other_method(self, hostile_study, method) -> None:
+        study, page = hostile_study
         refused(page(method, study.address(0)), 400, 404, 405)
 
-    def test_methods_where_they_belong(self, besieged) -> None:
-        study, page = besieged
+    def test_methods_where_they_belong(self, hostile_study) -> None:
+        study, page = hostile_study
         refused(page("POST", study.address(0), an_edit(page, study)), 405)
         refused(page("GET", "/api/undo"), 405)
         refused(page("PUT", "/api/frames", an_edit(page, study)), 405)
 
-    def test_the_page_allows_nothing_from_elsewhere(self, besieged) -> None:
-        _, page = besieged
+    def test_the_page_allows_nothing_from_elsewhere(self, hostile_study) -> None:
+        _, page = hostile_study
         for path in ("/", "/api/project"):
             headers = page("GET", path).headers
             assert "default-src 'self'" in headers["content-security-policy"]
@@ -207,16 +207,16 @@ OUTSIDE = [
 ]
 
 
-@pytest.mark.usefixtures("unharmed")
+@pytest.mark.usefixtures("unchanged")
 class TestWhatIsServed:
     @pytest.mark.parametrize("path", OUTSIDE)
-    def test_nothing_but_pictures_and_the_page(self, besieged, path) -> None:
-        study, page = besieged
+    def test_nothing_but_images_and_the_page(self, hostile_study, path) -> None:
+        study, page = hostile_study
         refused(page("GET", path.format(video=study.address(0).split("/")[3])), 404, 400)
 
-    def test_nothing_but_pictures_and_the_page_by_raw_requests(self, besieged) -> None:
+    def test_nothing_but_images_and_the_page_by_raw_requests(self, hostile_study) -> None:
         # Clients mend such addresses before they send them.
-        _, page = besieged
+        _, page = hostile_study
         for path in (
             b"/../../outside.txt",
             b"http://127.0.0.1/outside.txt",
@@ -228,8 +228,8 @@ class TestWhatIsServed:
             assert reply.split(b" ")[1].startswith(b"4"), reply
             assert SECRET not in reply
 
-    def test_links_out_of_the_project_are_not_even_listed(self, besieged) -> None:
-        study, page = besieged
+    def test_links_out_of_the_project_are_not_even_listed(self, hostile_study) -> None:
+        study, page = hostile_study
         listed = page.get("/api/frames")["frames"]
         assert {f["id"] for f in listed} == {study.id(i) for i in range(12)}
 
@@ -246,7 +246,7 @@ class TestWhatIsServed:
         assert outside.read_bytes() == SECRET
 
 
-@pytest.mark.usefixtures("unharmed")
+@pytest.mark.usefixtures("unchanged")
 class TestBodies:
     @pytest.mark.parametrize(
         "body",
@@ -263,8 +263,8 @@ class TestBodies:
             b'{"edit_id": "\\ud800"}',
         ],
     )
-    def test_what_is_no_json(self, besieged, body) -> None:
-        study, page = besieged
+    def test_what_is_no_json(self, hostile_study, body) -> None:
+        study, page = hostile_study
         for method, path in (("PUT", study.address(0)), ("POST", "/api/undo"), ("POST", "/api/redo")):
             refused(page(method, path, body or b" "), 400)
 
@@ -309,13 +309,13 @@ class TestBodies:
         ],
         ids=str,
     )
-    def test_what_is_of_the_wrong_kind(self, besieged, fields) -> None:
-        study, page = besieged
+    def test_what_is_of_the_wrong_kind(self, hostile_study, fields) -> None:
+        study, page = hostile_study
         refused(page("PUT", study.address(0), an_edit(page, study, **fields)), 400)
 
     @pytest.mark.parametrize("number", ["1e400", "-1e999", "NaN", "Infinity", "1" * 400])
-    def test_numbers_that_are_none(self, besieged, number) -> None:
-        study, page = besieged
+    def test_numbers_that_are_none(self, hostile_study, number) -> None:
+        study, page = hostile_study
         body = json.dumps(an_edit(page, study)).replace("[1.0, 1.0]", f"[{number}, 1.0]").encode()
         refused(page("PUT", study.address(0), body), 400, 422)
 
@@ -334,27 +334,27 @@ class TestBodies:
         ],
         ids=str,
     )
-    def test_what_cannot_be(self, besieged, fields) -> None:
-        study, page = besieged
+    def test_what_cannot_be(self, hostile_study, fields) -> None:
+        study, page = hostile_study
         refused(page("PUT", study.address(0), an_edit(page, study, **fields)), 422)
 
     @pytest.mark.parametrize(
         "frame", ["img99999.png", "img09990.png", "img09980.png", "..", "bendtrack.toml"]
     )
-    def test_frames_that_are_not_there(self, besieged, frame) -> None:
-        study, page = besieged
+    def test_frames_that_are_not_there(self, hostile_study, frame) -> None:
+        study, page = hostile_study
         address = study.address(0).rpartition("/")[0] + "/" + frame
         refused(page("PUT", address, an_edit(page, study)), 404)
         body = {"edit_id": str(uuid.uuid4()), "client_id": "mallory", "points": {}}
         refused(page("PUT", address.replace("/frames/", "/repeats/"), body), 404)
 
-    def test_repeats_that_nobody_asked_for(self, besieged) -> None:
-        study, page = besieged
+    def test_repeats_that_nobody_asked_for(self, hostile_study) -> None:
+        study, page = hostile_study
         body = {"edit_id": str(uuid.uuid4()), "client_id": "mallory", "points": {"tip_1": [1, 1]}}
         refused(page("PUT", study.address(1).replace("/frames/", "/repeats/"), body), 404)
 
-    def test_what_is_too_large(self, besieged) -> None:
-        study, page = besieged
+    def test_what_is_too_large(self, hostile_study) -> None:
+        study, page = hostile_study
         edit = an_edit(page, study)
         refused(page("PUT", study.address(0), edit | {"note": "a" * 70000}), 413)
         # Without saying so before: in pieces, whose sum is not told.
@@ -367,8 +367,8 @@ class TestBodies:
         assert b" 413 " in raw(page, head + 5 * chunk).split(b"\r\n")[0]
 
     @pytest.mark.parametrize("length", ["-1", "abc", "1e3", "99999999999999999999"])
-    def test_a_length_that_is_a_lie(self, besieged, length) -> None:
-        study, page = besieged
+    def test_a_length_that_is_a_lie(self, hostile_study, length) -> None:
+        study, page = hostile_study
         head = (
             f"PUT {study.address(0)} HTTP/1.1\r\nHost: 127.0.0.1:{page.port}\r\nCookie: {page.cookie}\r\n"
             f"Origin: http://127.0.0.1:{page.port}\r\nX-Bendtrack: 1\r\nContent-Type: application/json\r\n"
@@ -376,17 +376,17 @@ class TestBodies:
         ).encode()
         assert raw(page, head).split(b" ")[1].startswith(b"4")
 
-    def test_headers_that_never_end(self, besieged) -> None:
-        _, page = besieged
+    def test_headers_that_never_end(self, hostile_study) -> None:
+        _, page = hostile_study
         assert raw(page, b"GET / HTTP/1.1\r\n" + b"X-A: " + b"a" * 200_000).split(b" ")[1].startswith(b"4")
 
-    def test_two_hosts(self, besieged) -> None:
-        _, page = besieged
+    def test_two_hosts(self, hostile_study) -> None:
+        _, page = hostile_study
         two = b"GET /api/frames HTTP/1.1\r\nHost: 127.0.0.1:%d\r\nHost: evil.example\r\nCookie: %s\r\n\r\n"
         assert raw(page, two).split(b" ")[1].startswith(b"4")
 
-    def test_no_websocket(self, besieged) -> None:
-        _, page = besieged
+    def test_no_websocket(self, hostile_study) -> None:
+        _, page = hostile_study
         upgrade = (
             b"GET /api/events HTTP/1.1\r\nHost: 127.0.0.1:%d\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
             b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
@@ -413,8 +413,8 @@ def raw(page, request: bytes) -> bytes:
         return reply
 
 
-def test_after_all_of_it_the_page_works(besieged) -> None:
-    study, page = besieged
+def test_after_all_of_it_the_page_works(hostile_study) -> None:
+    study, page = hostile_study
     assert page.get(study.address(0))["points"] == POINTS
     assert page.put(0, note="still mine").status == 200
 

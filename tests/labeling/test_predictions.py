@@ -1,4 +1,4 @@
-"""The network's ghosts: computed behind the page's back, wanted frames first, kept for the next time."""
+"""The network's suggestions: computed behind the page's back, wanted frames first, kept for the next time."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ KEYPOINTS = ("base_1", "tip_1")
 
 
 class Oracle:
-    """Puts every point where the picture's brightness says."""
+    """Puts every point where the image's brightness says."""
 
     keypoints = KEYPOINTS
     batch_size = 4
@@ -53,13 +53,13 @@ def worker(study, load, told=None, key: str = "abc") -> Predictions:
     return Predictions(
         Network("model", key, load),
         folder,
-        lambda: [p for f in annotations.folders() for p in f.pictures.values()],
+        lambda: [p for f in annotations.folders() for p in f.images.values()],
         (told if told is not None else []).append,
     )
 
 
-def pictures(study):
-    return list(Annotations(study.project).folder(study.video).pictures.values())
+def images(study):
+    return list(Annotations(study.project).folder(study.video).images.values())
 
 
 def test_every_frame_is_looked_at_once_and_told(study) -> None:
@@ -73,7 +73,7 @@ def test_every_frame_is_looked_at_once_and_told(study) -> None:
         (study.video, study.image(n)) for n in range(12)
     ]
     assert (predictions.done, predictions.total) == (12, 12)
-    found = predictions.of(pictures(study)[3])
+    found = predictions.get(images(study)[3])
     assert found is not None
     assert found.points == {"base_1": (35, 10), "tip_1": (35, 20)}
     assert found.sd_px["tip_1"] == pytest.approx(np.sqrt((0.09 + 0.25) / 2), abs=1e-4)
@@ -91,7 +91,7 @@ def test_what_the_page_shows_comes_first(study) -> None:
 
     predictions = worker(study, load)
     predictions.start()
-    predictions.want(pictures(study)[8:10])
+    predictions.prioritise(images(study)[8:10])
     go.set()
     until(lambda: len(oracle.seen) >= 4)
     predictions.stop()
@@ -114,19 +114,19 @@ def test_the_next_time_nothing_is_computed_or_loaded(study) -> None:
     again.start()
     until(lambda: again.state == "ready")
     again.stop()
-    assert again.of(pictures(study)[3]) == first.of(pictures(study)[3])
+    assert again.get(images(study)[3]) == first.get(images(study)[3])
     # Another network knows nothing of that.
     other = worker(study, Oracle, key="def")
-    assert other.of(pictures(study)[3]) is None
+    assert other.get(images(study)[3]) is None
 
 
-def test_a_picture_that_cannot_be_read_is_passed_over(study) -> None:
-    (study.folder / study.image(2)).write_bytes(b"no picture")
+def test_an_image_that_cannot_be_read_is_skipped(study) -> None:
+    (study.folder / study.image(2)).write_bytes(b"no image")
     predictions = worker(study, Oracle)
     predictions.start()
     until(lambda: predictions.state == "ready")
     predictions.stop()
-    assert [predictions.of(p) is None for p in pictures(study)] == [n == 2 for n in range(12)]
+    assert [predictions.get(p) is None for p in images(study)] == [n == 2 for n in range(12)]
 
 
 def test_a_network_that_fails_is_said(study) -> None:
@@ -139,7 +139,7 @@ def test_a_network_that_fails_is_said(study) -> None:
     assert predictions.reason == "expected weights, got none"
 
 
-def test_the_command_shows_a_trained_networks_ghosts(trained_project, bendtrack) -> None:
+def test_the_command_shows_a_trained_networks_suggestions(trained_project, bendtrack) -> None:
     # The labelled positions are 'arm's; a network of two steps is far from them, which is said as well.
     process = subprocess.Popen(
         [bendtrack.command, "label", trained_project.root, "--no-browser"],
@@ -170,11 +170,11 @@ def test_the_command_shows_a_trained_networks_ghosts(trained_project, bendtrack)
     finally:
         process.kill()
         process.communicate()
-    assert found["ghost_source"] == "model"
-    assert set(found["ghosts"]) == set(trained_project.keypoints)
+    assert found["suggestion_source"] == "model"
+    assert set(found["suggestions"]) == set(trained_project.keypoints)
     distance = {
-        name: np.hypot(*np.subtract(found["points"][name], ghost["xy"]))
-        for name, ghost in found["ghosts"].items()
+        name: np.hypot(*np.subtract(found["points"][name], suggestion["xy"]))
+        for name, suggestion in found["suggestions"].items()
     }
     assert found["model_px"] == pytest.approx(max(distance.values()), abs=0.01)
     assert distance[found["model_worst"]] == max(distance.values())

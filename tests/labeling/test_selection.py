@@ -12,12 +12,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bendtrack.labeling.frame_descriptors import FrameDescriptor
 from bendtrack.labeling.gap_filling import fill_gaps
-from bendtrack.labeling.glimpses import Glimpse
-from bendtrack.labeling.pose_cells import BinCells, LookCells
-from bendtrack.labeling.pressure_order import PressureOrder
-from bendtrack.labeling.selection import choose
-from bendtrack.labeling.survey import Survey, survey
+from bendtrack.labeling.pressure_signal import PressureSignal
+from bendtrack.labeling.selection import select_frames
+from bendtrack.labeling.stream_clustering import AppearanceClusters, BinnedClusters
+from bendtrack.labeling.video_scan import VideoScan, scan_video
 from bendtrack.tracker.synthetic.trial import Trial, render_trial
 from bendtrack.tracker.video import Video
 from bendtrack.tracker.video_writer import VideoWriter
@@ -46,7 +46,7 @@ def trials(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Trial]:
 
 
 @pytest.fixture(scope="module")
-def pictures(trials: dict[str, Trial]) -> list[np.ndarray]:
+def images(trials: dict[str, Trial]) -> list[np.ndarray]:
     """The frames of one of them, RGB."""
     return [frame.image for frame in Video(trials["200 deg"].video_path)]
 
@@ -65,12 +65,12 @@ def write(path: Path, images: Sequence[np.ndarray]) -> Path:
     return path
 
 
-def looked_at(video: Path, known: Sequence[int] = ()) -> Survey:
-    return survey(video, LookCells(400), known=known)
+def looked_at(video: Path, known: Sequence[int] = ()) -> VideoScan:
+    return scan_video(video, AppearanceClusters(400), known=known)
 
 
 def chosen_frames(video: Path, count: int = 30, known: Sequence[int] = ()) -> list[int]:
-    return [glimpse.frame for glimpse in choose([looked_at(video, known)], count)[0]]
+    return [descriptor.frame for descriptor in select_frames([looked_at(video, known)], count)[0]]
 
 
 def covered_and_gap(chosen_deg: np.ndarray, all_deg: np.ndarray) -> tuple[float, float]:
@@ -117,13 +117,11 @@ def test_frames_that_all_lie_at_one_end_are_no_reason_to_choose_more_there(
 
 
 def test_a_long_rest_takes_no_frames_from_the_motion(
-    tmp_path: Path, pictures: list[np.ndarray], angles: np.ndarray
+    tmp_path: Path, images: list[np.ndarray], angles: np.ndarray
 ) -> None:
     rng = np.random.default_rng(0)
-    rest = [
-        np.clip(pictures[0] + rng.normal(0, 2, pictures[0].shape), 0, 255).astype(np.uint8) for _ in range(8)
-    ]
-    video = write(tmp_path / "rest.mp4", [*(rest[i % 8] for i in range(600)), *pictures])
+    rest = [np.clip(images[0] + rng.normal(0, 2, images[0].shape), 0, 255).astype(np.uint8) for _ in range(8)]
+    video = write(tmp_path / "rest.mp4", [*(rest[i % 8] for i in range(600)), *images])
     all_deg = np.r_[np.full(600, angles[0]), angles]
     frames = chosen_frames(video)
     covered, gap = covered_and_gap(all_deg[frames], all_deg)
@@ -132,35 +130,33 @@ def test_a_long_rest_takes_no_frames_from_the_motion(
     assert sum(frame < 600 for frame in frames) <= 3
 
 
-def test_blurred_frames_are_passed_over(
-    tmp_path: Path, pictures: list[np.ndarray], angles: np.ndarray
-) -> None:
-    blurred = np.random.default_rng(1).permutation(len(pictures))[: len(pictures) // 3]
+def test_blurred_frames_are_skipped(tmp_path: Path, images: list[np.ndarray], angles: np.ndarray) -> None:
+    blurred = np.random.default_rng(1).permutation(len(images))[: len(images) // 3]
     images = [
         cv2.GaussianBlur(image, (0, 0), 2.0) if index in set(blurred) else image
-        for index, image in enumerate(pictures)
+        for index, image in enumerate(images)
     ]
     frames = chosen_frames(write(tmp_path / "blurred.mp4", images))
     assert len(set(frames) & set(blurred)) <= 2  # of 10, were they drawn by chance
     assert covered_and_gap(angles[frames], angles)[0] >= COVERED
 
 
-def test_equal_frames_are_chosen_once(tmp_path: Path, pictures: list[np.ndarray], angles: np.ndarray) -> None:
+def test_equal_frames_are_chosen_once(tmp_path: Path, images: list[np.ndarray], angles: np.ndarray) -> None:
     poses = [int(np.argmin(np.abs(angles[:50] - angle))) for angle in np.linspace(5, 195, 9)]
-    images = [pictures[pose] for pose in poses for _ in range(8)]
+    images = [images[pose] for pose in poses for _ in range(8)]
     frames = chosen_frames(write(tmp_path / "steps.mp4", images))
     assert sorted(frame // 8 for frame in frames) == list(range(9))
 
 
-def test_nothing_that_moves_is_one_picture(tmp_path: Path, pictures: list[np.ndarray]) -> None:
+def test_nothing_that_moves_is_one_image(tmp_path: Path, images: list[np.ndarray]) -> None:
     rng = np.random.default_rng(2)
     images = [
-        np.clip(pictures[0] + rng.normal(0, 3, pictures[0].shape), 0, 255).astype(np.uint8) for _ in range(60)
+        np.clip(images[0] + rng.normal(0, 3, images[0].shape), 0, 255).astype(np.uint8) for _ in range(60)
     ]
     assert len(chosen_frames(write(tmp_path / "still.mp4", images))) == 1
 
 
-def test_damaged_frames_are_passed_over(tmp_path: Path, trials: dict[str, Trial]) -> None:
+def test_damaged_frames_are_skipped(tmp_path: Path, trials: dict[str, Trial]) -> None:
     data = bytearray(trials["200 deg"].video_path.read_bytes())
     start = len(data) // 3
     data[start : start + 400] = np.random.default_rng(3).bytes(400)
@@ -170,16 +166,16 @@ def test_damaged_frames_are_passed_over(tmp_path: Path, trials: dict[str, Trial]
     assert 30 < len(sound) < len(frames)
     found = looked_at(tmp_path / "hurt.mp4")
     assert found.warnings
-    assert {glimpse.frame for glimpse in choose([found], 30)[0]} <= sound
+    assert {descriptor.frame for descriptor in select_frames([found], 30)[0]} <= sound
 
 
 def test_videos_of_one_actuator_share_the_count(
-    tmp_path: Path, pictures: list[np.ndarray], angles: np.ndarray
+    tmp_path: Path, images: list[np.ndarray], angles: np.ndarray
 ) -> None:
     small = [index for index, angle in enumerate(angles) if angle < 90]
-    videos = [write(tmp_path / "a.mp4", pictures), write(tmp_path / "b.mp4", [pictures[i] for i in small])]
-    chosen = choose([looked_at(video) for video in videos], 30)
-    assert [len(glimpses) for glimpses in chosen] == pytest.approx([15, 15], abs=4)
+    videos = [write(tmp_path / "a.mp4", images), write(tmp_path / "b.mp4", [images[i] for i in small])]
+    chosen = select_frames([looked_at(video) for video in videos], 30)
+    assert [len(descriptors) for descriptors in chosen] == pytest.approx([15, 15], abs=4)
     reached = np.r_[angles[[g.frame for g in chosen[0]]], angles[small][[g.frame for g in chosen[1]]]]
     covered, gap = covered_and_gap(reached, angles)
     assert covered >= COVERED
@@ -187,54 +183,59 @@ def test_videos_of_one_actuator_share_the_count(
 
 
 def test_a_camera_that_was_moved_gives_two_views_with_frames_of_each(
-    tmp_path: Path, pictures: list[np.ndarray], angles: np.ndarray
+    tmp_path: Path, images: list[np.ndarray], angles: np.ndarray
 ) -> None:
-    videos = [write(tmp_path / "a.mp4", pictures), write(tmp_path / "b.mp4", [x[:, ::-1] for x in pictures])]
-    chosen = choose([looked_at(video) for video in videos], 30)
-    for glimpses in chosen:
-        assert len(glimpses) == 15
-        covered, gap = covered_and_gap(angles[[g.frame for g in glimpses]], angles)
+    videos = [write(tmp_path / "a.mp4", images), write(tmp_path / "b.mp4", [x[:, ::-1] for x in images])]
+    chosen = select_frames([looked_at(video) for video in videos], 30)
+    for descriptors in chosen:
+        assert len(descriptors) == 15
+        covered, gap = covered_and_gap(angles[[g.frame for g in descriptors]], angles)
         assert covered >= COVERED
         assert gap <= 2.3 / 14
-    known = [[g.frame for g in glimpses] for glimpses in chosen]
-    more = choose([looked_at(video, own) for video, own in zip(videos, known, strict=True)], 8)
-    for glimpses, own in zip(more, known, strict=True):
-        assert len(glimpses) == 4
-        assert not {g.frame for g in glimpses} & set(own)
+    known = [[g.frame for g in descriptors] for descriptors in chosen]
+    more = select_frames([looked_at(video, own) for video, own in zip(videos, known, strict=True)], 8)
+    for descriptors, own in zip(more, known, strict=True):
+        assert len(descriptors) == 4
+        assert not {g.frame for g in descriptors} & set(own)
 
 
 # --- what is kept while a video streams by ---------------------------------------------------------------
 
 
-def glimpse_of(value: float, frame: int, rng: np.random.Generator) -> Glimpse:
+def descriptor_of(value: float, frame: int, rng: np.random.Generator) -> FrameDescriptor:
     """A bright bar at a place, on noise."""
     look = rng.normal(100, 0.5, (18, 24)).astype(np.float32)
     look[:, int(value * 20) : int(value * 20) + 4] += 80
-    return Glimpse(frame, frame / 30, look, np.ones((6, 8), np.float32))
+    return FrameDescriptor(frame, frame / 30, look, np.ones((6, 8), np.float32))
 
 
 def test_memory_is_flat_and_what_is_seen_once_is_kept() -> None:
-    rng, cells = np.random.default_rng(0), LookCells(50)
+    rng, clusters = np.random.default_rng(0), AppearanceClusters(50)
     places = np.where(np.arange(6000) == 3210, 1.0, 0.4 * rng.uniform(size=6000))
     for frame, place in enumerate(places):
-        cells.add(glimpse_of(place, frame, rng))
-    assert len(cells.cells) <= 50
-    assert sum(cell.count for cell in cells.cells) == 6000
-    assert max(len(cell.members) for cell in cells.cells) <= 6
-    assert [glimpse.frame for cell in cells.cells for glimpse in cell.members if glimpse.frame == 3210] == [
-        3210
-    ]
+        clusters.add(descriptor_of(place, frame, rng))
+    assert len(clusters.clusters) <= 50
+    assert sum(cell.count for cell in clusters.clusters) == 6000
+    assert max(len(cell.members) for cell in clusters.clusters) <= 6
+    assert [
+        descriptor.frame
+        for cell in clusters.clusters
+        for descriptor in cell.members
+        if descriptor.frame == 3210
+    ] == [3210]
 
 
 def test_bins_of_time_grow_with_the_video() -> None:
-    cells = BinCells(lambda time_s: (time_s, 0), 0.05, 64)
+    clusters = BinnedClusters(lambda time_s: (time_s, 0), 0.05, 64)
     for frame in range(9000):
-        cells.add(Glimpse(frame, frame / 30, np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32)))
-    kept = cells.cells
+        clusters.add(
+            FrameDescriptor(frame, frame / 30, np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32))
+        )
+    kept = clusters.clusters
     assert 32 <= len(kept) <= 64
     starts = [cell.members[0].time_s for cell in kept]
     assert np.diff(starts).max() < 1.1 * np.diff(starts).min()
-    members = [glimpse.time_s for cell in kept for glimpse in cell.members]
+    members = [descriptor.time_s for cell in kept for descriptor in cell.members]
     assert np.diff(sorted(members)).max() < 300 / 32
 
 
@@ -246,7 +247,7 @@ def test_pressure_and_its_direction_at_a_time() -> None:
     clean = 25 - 25 * np.abs((time_s % 20) / 10 - 1) * 2 + 25  # up for 10 s, down for 10 s
     noisy = clean + np.random.default_rng(0).normal(0, 0.3, len(time_s))
     noisy[(time_s > 31) & (time_s < 33)] = np.nan
-    order = PressureOrder(time_s, noisy)
+    order = PressureSignal(time_s, noisy)
     assert order.range_kpa == pytest.approx(50, abs=3)
     for at_s, rising in ((0.5, 1), (5.0, 1), (9.0, 1), (11.0, 0), (19.0, 0), (25.0, 1), (35.0, 0)):
         found = order.at(at_s)
@@ -296,4 +297,4 @@ def test_the_ends_of_the_line_come_first(taken: list[float], count: int, expecte
 def test_without_any_there_the_points_are_even() -> None:
     targets = fill_gaps(-3.0, 5.0, [], 9)
     np.testing.assert_allclose([target.value for target in targets], np.linspace(-3, 5, 9))
-    assert {target.room for target in targets} == {1.0}
+    assert {target.spacing for target in targets} == {1.0}

@@ -41,7 +41,7 @@ EXPECTED = np.array([[[1.5, 2.25], [250.05599999999998, 4.0]], [[np.nan, np.nan]
 
 @pytest.fixture
 def store(tmp_path: Path) -> LabelStore:
-    """A store of two keypoints over one video `v` with pictures of the frames 7, 10 and 100."""
+    """A store of two keypoints over one video `v` with images of the frames 7, 10 and 100."""
     folder = tmp_path / "labeled-data" / "v"
     folder.mkdir(parents=True)
     for name in ("img00007.png", "img00010.png", "img00100.png"):

@@ -45,16 +45,16 @@ def frames(
     They are saved as pictures in labeled-data/. Blurred, damaged and equal frames are passed over. Once more, and
     further frames fill the gaps that are left. Exit status 1 when a video could not be used.
     """
-    from ...labeling.new_frames import add_frames
-    from ...labeling.survey import By
+    from ...labeling.frame_extraction import extract_frames
+    from ...labeling.video_scan import SampleBy
     from ..project import Project
     from . import progress_bars
 
-    report = add_frames(
+    report = extract_frames(
         Project.open(project),
         listed_videos(videos),
         count=count,
-        by=None if by is None else By(by),
+        by=None if by is None else SampleBy(by),
         pressure_logs=pressure or (),
         actuator=actuator,
         counting=progress_bars.counting,

@@ -268,9 +268,9 @@ def show_evaluation(evaluation: Evaluation) -> None:
 def _labeller_spread(project: Project) -> dict[str, Any]:
     """What evaluation.json says of the labeller's own spread; nothing where no frame was labelled twice."""
     from ...labeling.annotations import Annotations
-    from ...labeling.repeats import project_spread
+    from ...labeling.repeatability import project_repeatability
 
-    spread = project_spread(Annotations(project))
+    spread = project_repeatability(Annotations(project))
     return {} if spread is None else {"labeller_spread": spread.to_json()}
 
 

@@ -25,14 +25,14 @@ def _save(path: Path, seed: int, size_wh: tuple[int, int] = WH) -> Path:
 
 
 @pytest.fixture(scope="session")
-def save_picture() -> Callable[..., Path]:
+def save_image() -> Callable[..., Path]:
     """(path, seed, size) -> the path, with noise of 96 x 72 px in it; no two seeds are alike."""
     return _save
 
 
 @pytest.fixture
 def rich(tmp_path: Path) -> Project:
-    """Two actuators, three videos (one name is not ASCII and has a dot), missing points, unlabelled pictures."""
+    """Two actuators, three videos (one name is not ASCII and has a dot), missing points, unlabelled images."""
     project = Project.create(tmp_path / "study", keypoints=("Basis_ä", "base 2", "tip_1", "先端"))
     store = LabelStore.of(project)
     for number, video in enumerate(("arm", "arm again", "größe 1.5Hz")):

@@ -75,7 +75,7 @@ def test_the_file_is_what_coco_defines(rich: Project, tmp_path: Path) -> None:
     assert one["keypoints"] == [*xy[0], 2, *xy[1], 2, 0, 0, 0, *xy[3], 2]
     assert one["num_keypoints"] == 3
     x, y, width, height = one["bbox"]
-    # From the corner of the picture, where the pixel at index i begins at i and ends at i + 1.
+    # From the corner of the image, where the pixel at index i begins at i and ends at i + 1.
     assert (x, y) == (np.nanmin(xy[:, 0]), np.nanmin(xy[:, 1]))
     assert x + width == pytest.approx(np.nanmax(xy[:, 0]) + 1)
     assert y + height == pytest.approx(np.nanmax(xy[:, 1]) + 1)
@@ -120,11 +120,11 @@ def test_a_keypoint_is_the_index_of_a_pixel(tmp_path: Path, take) -> None:
     assert cv2.imread(str(frame.image_path))[7, 10, 0] == 255
 
 
-def test_a_cvat_task(tmp_path: Path, take, save_picture) -> None:
+def test_a_cvat_task(tmp_path: Path, take, save_image) -> None:
     # As its "COCO Keypoints 1.0" unpacks: flat names, hidden points v = 1, points outside v = 0 with a position.
     root = tmp_path / "Gripper task"
     for i in range(3):
-        save_picture(root / "images" / "default" / f"frame_{i:06d}.PNG", i)
+        save_image(root / "images" / "default" / f"frame_{i:06d}.PNG", i)
     hidden = [10, 7, 2, 20.5, 7.25, 1, 30, 40, 2, 50, 60, 0]
     write(
         root / "annotations" / "person_keypoints_default.json",
@@ -144,10 +144,10 @@ def test_a_cvat_task(tmp_path: Path, take, save_picture) -> None:
     assert project.actuator_of("Gripper task") == "default"
 
 
-def test_a_label_studio_export(tmp_path: Path, take, save_picture) -> None:
+def test_a_label_studio_export(tmp_path: Path, take, save_image) -> None:
     # Whole pixels, a category of boxes without points beside the one named "default", Windows' separators.
     root = tmp_path / "project-3-at-2026"
-    save_picture(root / "images" / "4f1c9a2e-img00012.png", 1)
+    save_image(root / "images" / "4f1c9a2e-img00012.png", 1)
     write(
         root / "result.json",
         ["images\\4f1c9a2e-img00012.png"],
@@ -162,9 +162,9 @@ def test_a_label_studio_export(tmp_path: Path, take, save_picture) -> None:
     assert labels(project)["project-3-at-2026/4f1c9a2e-img00012.png"][:3] == [[10, 7], [20, 7], [30, 40]]
 
 
-def test_pictures_may_be_elsewhere(tmp_path: Path, take, save_picture) -> None:
-    save_picture(tmp_path / "disk" / "old" / "arm" / "img00001.png", 1)
-    save_picture(tmp_path / "disk" / "new" / "leg" / "img00001.png", 2)
+def test_images_may_be_elsewhere(tmp_path: Path, take, save_image) -> None:
+    save_image(tmp_path / "disk" / "old" / "arm" / "img00001.png", 1)
+    save_image(tmp_path / "disk" / "new" / "leg" / "img00001.png", 2)
     file = write(
         tmp_path / "in" / "labels.json",
         ["/home/ana/arm/img00001.png", "C:\\data\\leg\\img00001.png"],
@@ -178,11 +178,11 @@ def test_pictures_may_be_elsewhere(tmp_path: Path, take, save_picture) -> None:
         assert copied.read_bytes() == (tmp_path / "disk" / folder / video / "img00001.png").read_bytes()
 
 
-def test_nothing_is_overwritten_where_names_are_alike(tmp_path: Path, take, save_picture) -> None:
+def test_nothing_is_overwritten_where_names_are_alike(tmp_path: Path, take, save_image) -> None:
     files = ["monday/arm/img1.png", "tuesday/arm/img1.png", "tuesday/ARM/img1.png", "leg/img1.png"]
     root = tmp_path / "in"
     for number, name in enumerate(files):
-        save_picture(root / name, number)
+        save_image(root / name, number)
     write(root / "a.json", files, [annotation(i) for i in (1, 2, 3, 4)], [category()])
     project, report = take(root)
     assert (report.labelled, report.images, report.skipped) == (4, 4, [])
@@ -193,12 +193,12 @@ def test_nothing_is_overwritten_where_names_are_alike(tmp_path: Path, take, save
 
 
 def test_categories_are_actuators_where_there_are_several(
-    tmp_path: Path, take, save_picture, actuators
+    tmp_path: Path, take, save_image, actuators
 ) -> None:
     root = tmp_path / "bench"
     files = [f"img{i}.png" for i in range(4)]
     for i, name in enumerate(files):
-        save_picture(root / name, i)
+        save_image(root / name, i)
     write(
         root / "labels.json",
         files,
@@ -229,9 +229,9 @@ def test_the_project_says_which_actuator_a_video_shows(rich, tmp_path: Path) -> 
     assert rich.actuator_of("arm") == "stiff"
 
 
-def test_several_files_of_one_data_set(tmp_path: Path, take, save_picture) -> None:
+def test_several_files_of_one_data_set(tmp_path: Path, take, save_image) -> None:
     for number, part in enumerate(("train", "val"), start=1):
-        save_picture(tmp_path / "set" / "images" / part / f"{part}.png", number)
+        save_image(tmp_path / "set" / "images" / part / f"{part}.png", number)
         file = tmp_path / "set" / "annotations" / f"person_keypoints_{part}.json"
         write(file, [f"{part}/{part}.png"], [annotation(1)], [category()])
     (tmp_path / "set" / "annotations" / "captions.json").write_text('{"annotations": [], "images": []}')
@@ -240,7 +240,7 @@ def test_several_files_of_one_data_set(tmp_path: Path, take, save_picture) -> No
     assert list(labels(project)) == ["train/train.png", "val/val.png"]
 
 
-def test_frames_come_out_of_the_video_where_there_are_no_pictures(
+def test_frames_come_out_of_the_video_where_there_are_no_images(
     tmp_path: Path, take, write_arm_video
 ) -> None:
     video = write_arm_video(tmp_path / "arm.mp4")
@@ -250,13 +250,13 @@ def test_frames_come_out_of_the_video_where_there_are_no_pictures(
     assert list(labels(project)) == ["arm/img00007.png"]
 
 
-def test_what_cannot_be_used_is_left_out_and_said(tmp_path: Path, take, save_picture) -> None:
+def test_what_cannot_be_used_is_left_out_and_said(tmp_path: Path, take, save_image) -> None:
     root = tmp_path / "in"
     files = [f"arm/img{i}.png" for i in range(1, 10)]
     for i in (1, 2, 3, 4, 5, 6, 7):
-        save_picture(root / files[i - 1], i)
-    save_picture(root / "a" / "elsewhere" / "img9.png", 9)
-    save_picture(root / "b" / "elsewhere" / "img9.png", 10)
+        save_image(root / files[i - 1], i)
+    save_image(root / "a" / "elsewhere" / "img9.png", 9)
+    save_image(root / "b" / "elsewhere" / "img9.png", 10)
     outside = [200, 7, 2, *FOUR[3:]]
     write(
         root / "labels.json",
@@ -279,13 +279,13 @@ def test_what_cannot_be_used_is_left_out_and_said(tmp_path: Path, take, save_pic
     project, report = take(root)
     assert report.skipped == [
         "arm/img2.png: labels.json annotation 20: expected 12 numbers as keypoints (x, y, v each), got 9",
-        "arm/img3.png: expected one actuator a picture, got 2",
+        "arm/img3.png: expected one actuator in each image, got 2",
         "arm/img4.png: labels.json annotation 40: expected 0, 1 or 2 as the visibility of 'base_1', got 3",
         "arm/img5.png: labels.json annotation 50: expected numbers as keypoints, got something else",
         "labels.json: 1 annotations of images that it does not list",
-        f"arm/img9.png: expected one picture of that name, got {root}/a/elsewhere/img9.png "
+        f"arm/img9.png: expected one image of that name, got {root}/a/elsewhere/img9.png "
         f"and {root}/b/elsewhere/img9.png",
-        f"arm/img8.png: no such picture in {root}",
+        f"arm/img8.png: no such image in {root}",
         "arm/img6.png: expected 'base_1' inside the 96 x 72 px, got (200, 7)",
         "arm/img7.png: labels.json annotation 70, column base_1 x: expected a number of px, got 'nan'",
     ]

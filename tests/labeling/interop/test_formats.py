@@ -10,8 +10,8 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 import pytest
 
-from bendtrack.labeling.interop.formats import FORMATS, export_labels, open_labels, recognise
-from bendtrack.labeling.interop.source import PictureFinder, distinct_names, foreign_path
+from bendtrack.labeling.interop.formats import FORMATS, detect_format, export_labels, open_labels
+from bendtrack.labeling.interop.source import ImageFinder, distinct_names, foreign_path
 from bendtrack.labeling.store import LabelStore
 from bendtrack.tracker.cli.project_commands import LabelFormat
 from bendtrack.tracker.errors import LabelError
@@ -39,7 +39,7 @@ def test_every_form_goes_out_and_comes_back(
     ran = bendtrack("export", rich.root, out, "--format", form)
     assert ran.status == 0, ran.err
     assert "9 labelled frames and 12 pictures" in ran.out
-    assert recognise(out) == form
+    assert detect_format(out) == form
     ran = bendtrack("import", tmp_path / "again", out)
     assert (ran.status, ran.err) == (0, "")
     assert "9 labelled frames imported" in ran.out
@@ -105,7 +105,7 @@ def test_a_form_is_recognised(tmp_path: Path, files: dict[str, str], form: str) 
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_text(text, encoding="utf-8")
     [*_, only] = [root / name for name in files]
-    assert recognise(only if len(files) == 1 and only.parent == root else root) == form
+    assert detect_format(only if len(files) == 1 and only.parent == root else root) == form
 
 
 @pytest.mark.parametrize(
@@ -126,8 +126,8 @@ def test_a_form_is_recognised(tmp_path: Path, files: dict[str, str], form: str) 
         ),
         ("empty", ("--format", "sleap"), "expected one .slp file, got none"),
         ("two", (), "expected one .slp file, got a.slp, b.slp"),
-        ("empty", ("--images", "nowhere"), "expected a folder of pictures, got"),
-        ("empty", ("--images", "empty"), "DeepLabCut's pictures lie beside its labels"),
+        ("empty", ("--images", "nowhere"), "expected a folder of images, got"),
+        ("empty", ("--images", "empty"), "DeepLabCut's images are next to its labels"),
     ],
 )
 def test_bad_input_is_one_line(
@@ -231,19 +231,19 @@ def test_names_tell_paths_apart() -> None:
     assert list(names.values()) == ["x_v.png", "y_v.png", "b_w.png", "B_W_2.png", "u.png", "y_v_2.png"]
 
 
-def test_a_picture_is_found_by_what_fits_best(tmp_path: Path, save_picture) -> None:
+def test_an_image_is_found_by_what_fits_best(tmp_path: Path, save_image) -> None:
     for name in ("deep/monday/arm/img1.png", "deep/tuesday/arm/img1.png", "images/leg/img1.png", "img2.PNG"):
-        save_picture(tmp_path / name, 1)
-    finder = PictureFinder([tmp_path])
+        save_image(tmp_path / name, 1)
+    finder = ImageFinder([tmp_path])
     assert finder.find("D:\\rig\\tuesday\\arm\\img1.png") == tmp_path / "deep/tuesday/arm/img1.png"
     assert finder.find("leg/img1.png") == tmp_path / "images/leg/img1.png"
     assert finder.find("else/where/IMG2.png") == tmp_path / "img2.PNG"
     assert finder.find("img3.png") is None
-    with pytest.raises(LabelError, match=r"expected one picture of that name, got .*monday.* and .*tuesday"):
+    with pytest.raises(LabelError, match=r"expected one image of that name, got .*monday.* and .*tuesday"):
         finder.find("arm/img1.png")
 
 
-def test_a_folder_that_is_given_is_where_pictures_are(rich: Project, tmp_path: Path) -> None:
+def test_a_folder_that_is_given_is_where_images_are(rich: Project, tmp_path: Path) -> None:
     export_labels(rich, tmp_path / "out", "coco")
-    with pytest.raises(LabelError, match="expected a folder of pictures"):
+    with pytest.raises(LabelError, match="expected a folder of images"):
         open_labels(tmp_path / "out", images=tmp_path / "none")

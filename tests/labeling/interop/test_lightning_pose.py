@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from bendtrack.labeling.interop.lightning_pose import export_lightning_pose, open_lightning_pose
-from bendtrack.labeling.side_data import read_notes, write_notes
+from bendtrack.labeling.notes_file import read_notes, write_notes
 from bendtrack.labeling.store import LabelStore
 from bendtrack.tracker.errors import LabelError
 from bendtrack.tracker.project import Project
@@ -37,11 +37,11 @@ def labels(project: Project) -> dict[str, list[list[float]]]:
 
 
 @pytest.fixture
-def root(tmp_path: Path, save_picture) -> Path:
+def root(tmp_path: Path, save_image) -> Path:
     """The folder of a Lightning Pose project, without labels yet."""
     root = tmp_path / "lp"
     for name in ("session0/img00000001.png", "session0/img00000005.png", "session1/img00000012.png"):
-        save_picture(root / "labeled-data" / name, int(name[-6:-4]))
+        save_image(root / "labeled-data" / name, int(name[-6:-4]))
     (root / "project.yaml").write_text("view_names: []\nkeypoint_names: [base_1, base_2, tip_1, tip_2]\n")
     return root
 
@@ -50,7 +50,7 @@ def test_out_and_in_again_is_exact(rich, take, contents, tmp_path: Path) -> None
     report = export_lightning_pose(rich, tmp_path / "out")
     assert (report.labelled, report.images) == (9, 12)
     assert report.warnings == [
-        "a Lightning Pose project has no place for which video shows which actuator (Größer, original): "
+        "a Lightning Pose project cannot store which video shows which actuator (Größer, original): "
         "keep bendtrack.toml"
     ]
     again, report = take(tmp_path / "out")
@@ -118,9 +118,9 @@ def test_only_what_is_visible_has_a_position(root: Path, take) -> None:
         assert read_notes(project.labels_dir / "session0")[image] == {"not_visible": ["base_2"]}
 
 
-def test_the_views_of_one_project(root: Path, take, save_picture) -> None:
+def test_the_views_of_one_project(root: Path, take, save_image) -> None:
     for view in ("left", "right"):
-        save_picture(root / "labeled-data" / f"session2_{view}" / "img00000003.png", len(view))
+        save_image(root / "labeled-data" / f"session2_{view}" / "img00000003.png", len(view))
         text = "".join(PLAIN.splitlines(keepends=True)[:4])
         text = text.replace("session0/img00000001", f"session2_{view}/img00000003")
         (root / f"CollectedData_{view}.csv").write_text(text)
@@ -129,8 +129,8 @@ def test_the_views_of_one_project(root: Path, take, save_picture) -> None:
     assert list(labels(project)) == ["session2_left/img00000003.png", "session2_right/img00000003.png"]
 
 
-def test_pictures_in_folders_of_other_names_or_elsewhere(tmp_path: Path, take, save_picture) -> None:
-    save_picture(tmp_path / "in" / "frames" / "s0" / "frame000001.png", 1)
+def test_images_in_folders_of_other_names_or_elsewhere(tmp_path: Path, take, save_image) -> None:
+    save_image(tmp_path / "in" / "frames" / "s0" / "frame000001.png", 1)
     (tmp_path / "in" / "labels.csv").write_text(
         PLAIN.replace("labeled-data/session0/img00000001", "frames/s0/frame000001").split("labeled-data")[0]
     )
@@ -139,7 +139,7 @@ def test_pictures_in_folders_of_other_names_or_elsewhere(tmp_path: Path, take, s
     assert list(labels(project)) == ["s0/frame000001.png"]
     (tmp_path / "in" / "frames").rename(tmp_path / "moved")
     _, report = take(tmp_path / "in" / "labels.csv", "lightning-pose")
-    assert report.skipped == [f"s0/frame000001.png: no such picture in {tmp_path / 'in'}"]
+    assert report.skipped == [f"s0/frame000001.png: no such image in {tmp_path / 'in'}"]
     report = take(tmp_path / "in" / "labels.csv", "lightning-pose", images=tmp_path / "moved")[1]
     assert (report.unchanged, report.skipped) == (1, [])
 
@@ -154,7 +154,7 @@ def test_what_cannot_be_used_is_left_out_and_said(root: Path, take) -> None:
     assert report.skipped == [
         f"{file} line 4, column tip_1 visible: expected 0, 1 or 2, got 'maybe'",
         f"{file} line 5, column base_2 visible: expected 0, 1 or 2, got '3'",
-        f"session0/img00000099.png: no such picture in {root}",
+        f"session0/img00000099.png: no such image in {root}",
     ]
     assert np.isnan(labels(project)["session0/img00000001.png"][2]).all()
 

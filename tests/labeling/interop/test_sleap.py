@@ -54,7 +54,7 @@ def labels(project: Project) -> dict[str, np.ndarray]:
 # --- out -------------------------------------------------------------------------------------------------
 
 
-def test_out_and_in_again_is_exact_with_the_pictures_in_the_file(
+def test_out_and_in_again_is_exact_with_the_images_in_the_file(
     rich, take, contents, actuators, tmp_path: Path
 ) -> None:
     report = export_sleap(rich, tmp_path / "out.pkg.slp")
@@ -114,10 +114,10 @@ def test_out_by_video_and_frame(rich, take, contents, write_arm_video, tmp_path:
     assert contents(again) == contents(rich)
 
 
-def test_pictures_go_along_where_a_video_is_missing(rich, take, write_arm_video, tmp_path: Path) -> None:
+def test_images_go_along_where_a_video_is_missing(rich, take, write_arm_video, tmp_path: Path) -> None:
     video = write_arm_video(tmp_path / "arm.mp4")
     report = export_sleap(rich, tmp_path / "out.slp", videos=[video])
-    assert report.warnings == ["no video is given for arm again, größe 1.5Hz: pictures go into the file"]
+    assert report.warnings == ["no video is given for arm again, größe 1.5Hz: images are written to the file"]
     assert take(tmp_path / "out.slp")[1].labelled == 9
 
 
@@ -149,8 +149,8 @@ def test_positions_count_from_the_centre_of_the_first_pixel(tmp_path: Path, take
     assert cv2.imread(str(frame.image_path))[7, 10, 0] == 255
 
 
-def test_files_older_than_1_1_counted_from_its_corner(tmp_path: Path, take, save_picture) -> None:
-    video = sleap_io.Video.from_filename([str(save_picture(tmp_path / "arm" / "img1.png", 1))])
+def test_files_older_than_1_1_counted_from_its_corner(tmp_path: Path, take, save_image) -> None:
+    video = sleap_io.Video.from_filename([str(save_image(tmp_path / "arm" / "img1.png", 1))])
     path = save(tmp_path / "a.slp", [(video, 0, [instance(XY + 0.5)])])
     with h5py.File(path, "a") as stored:
         stored["metadata"].attrs["format_id"] = 1.0
@@ -187,7 +187,7 @@ def test_a_sleap_project_of_videos(tmp_path: Path, take, write_arm_video) -> Non
     )
     project, report = take(path)
     assert project.keypoints == tuple(NODES)
-    assert report.skipped == ["monday/img00006.png: expected one actuator a picture, got 2 instances"]
+    assert report.skipped == ["monday/img00006.png: expected one actuator in each image, got 2 instances"]
     assert (report.labelled, report.images, report.unlabelled) == (3, 4, 1)
     found = labels(project)
     assert list(found) == ["monday/img00003.png", "monday/img00007.png", "tuesday/img00000.png"]
@@ -204,7 +204,7 @@ def test_a_sleap_project_of_videos(tmp_path: Path, take, write_arm_video) -> Non
     (moved / "tuesday.mp4").rename(tmp_path / "tuesday.mp4")
     _, report = take(moved / "labels.slp")
     assert report.labelled == 0
-    assert f"tuesday/img00000.png: no such picture in {moved}" in report.skipped
+    assert f"tuesday/img00000.png: no such image in {moved}" in report.skipped
     shutil.rmtree(project.root)
     assert take(moved / "labels.slp", images=tmp_path)[1].labelled == 1
     shutil.rmtree(project.root)
@@ -221,7 +221,7 @@ def test_a_package_of_frames_of_a_video(tmp_path: Path, take, write_arm_video, o
             backend = {"filename": ".", "dataset": "video0/video", "input_format": "channels_last"}
             stored["videos_json"][0] = json.dumps({"backend": {**backend, "convert_range": False}})
     capture = cv2.VideoCapture(str(path))
-    pictures = [capture.read()[1] for _ in range(12)]
+    images = [capture.read()[1] for _ in range(12)]
     capture.release()
     path.unlink()
     project, report = take(package)
@@ -229,7 +229,7 @@ def test_a_package_of_frames_of_a_video(tmp_path: Path, take, write_arm_video, o
     assert list(labels(project)) == ["arm/img00004.png", "arm/img00009.png"]
     for frame in (4, 9):
         copy = cv2.imread(str(project.labels_dir / "arm" / f"img{frame:05d}.png"))
-        np.testing.assert_array_equal(copy, pictures[frame])
+        np.testing.assert_array_equal(copy, images[frame])
 
 
 def test_a_cropped_video_is_left_out(tmp_path: Path, take, write_arm_video) -> None:
@@ -240,10 +240,10 @@ def test_a_cropped_video_is_left_out(tmp_path: Path, take, write_arm_video) -> N
     assert list(labels(project)) == ["arm/img00000.png"]
 
 
-def test_pictures_of_one_stem_stay_two(tmp_path: Path, take, save_picture) -> None:
+def test_images_of_one_stem_stay_two(tmp_path: Path, take, save_image) -> None:
     names = ["day1/arm/a.png", "day2/arm/a.png", "arm/b.jpg", "arm/b.png"]
     for seed, name in enumerate(names):
-        save_picture(tmp_path / name, seed)
+        save_image(tmp_path / name, seed)
     video = sleap_io.Video.from_filename([str(tmp_path / name) for name in names], grayscale=False)
     frames = [(video, i, [instance(XY + i / 10)]) for i in range(4)]
     project, report = take(save(tmp_path / "plain.slp", frames))
@@ -257,7 +257,7 @@ def test_pictures_of_one_stem_stay_two(tmp_path: Path, take, save_picture) -> No
     assert kept == ["b_jpg.png", "b_png.png", "day1_arm_a.png", "day2_arm_a.png"]
 
 
-def test_pictures_of_several_kinds_keep_their_colours(rich, take, tmp_path: Path) -> None:
+def test_images_of_several_kinds_keep_their_colours(rich, take, tmp_path: Path) -> None:
     for name, suffix in (("img00014", "jpg"), ("img00926", "bmp")):
         (rich.labels_dir / "arm" / f"{name}.png").rename(rich.labels_dir / "arm" / f"{name}.{suffix}")
     table = rich.labels_dir / "arm" / "CollectedData_bendtrack.csv"
@@ -267,21 +267,21 @@ def test_pictures_of_several_kinds_keep_their_colours(rich, take, tmp_path: Path
     export_sleap(rich, tmp_path / "out.slp")
     again, report = take(tmp_path / "out.slp")
     assert (report.labelled, report.images, report.skipped) == (9, 12, [])
-    for picture in (rich.labels_dir / "arm").glob("img*"):
-        copy = (again.labels_dir / "arm" / picture.name).with_suffix(".png")
-        np.testing.assert_array_equal(cv2.imread(str(copy)), cv2.imread(str(picture)))
+    for image in (rich.labels_dir / "arm").glob("img*"):
+        copy = (again.labels_dir / "arm" / image.name).with_suffix(".png")
+        np.testing.assert_array_equal(cv2.imread(str(copy)), cv2.imread(str(image)))
     for ours, theirs in zip(LabelStore.of(rich).read(), LabelStore.of(again).read(), strict=True):
         np.testing.assert_array_equal(ours.xy, theirs.xy)
 
 
-def test_tracks_of_others_are_no_actuators(tmp_path: Path, take, save_picture) -> None:
-    video = sleap_io.Video.from_filename([str(save_picture(tmp_path / "arm" / "img1.png", 1))])
+def test_tracks_of_others_are_no_actuators(tmp_path: Path, take, save_image) -> None:
+    video = sleap_io.Video.from_filename([str(save_image(tmp_path / "arm" / "img1.png", 1))])
     frames = [(video, 0, [instance(track=sleap_io.Track("track_0"))])]
     project, _ = take(save(tmp_path / "a.slp", frames))
     assert project.actuator_of("arm") == "default"
 
 
-def test_a_file_that_cannot_be_says_why_in_one_line(tmp_path: Path, save_picture) -> None:
+def test_a_file_that_cannot_be_says_why_in_one_line(tmp_path: Path, save_image) -> None:
     def said(path: Path) -> str:
         with pytest.raises(LabelError) as caught:
             open_sleap(path)
@@ -295,7 +295,7 @@ def test_a_file_that_cannot_be_says_why_in_one_line(tmp_path: Path, save_picture
     with h5py.File(path, "w") as stored:
         stored["x"] = 1
     assert "expected SLEAP labels (.slp), got a file that does not open as such" in said(path)
-    video = sleap_io.Video.from_filename([str(save_picture(tmp_path / "arm" / "img1.png", 1))])
+    video = sleap_io.Video.from_filename([str(save_image(tmp_path / "arm" / "img1.png", 1))])
     guess = sleap_io.PredictedInstance.from_numpy(XY, skeleton=SKELETON)
     save(tmp_path / "b.slp", [(video, 0, [guess])])
     assert said(tmp_path / "b.slp").endswith("expected frames that a person labelled, got none")

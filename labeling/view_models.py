@@ -1,6 +1,6 @@
-"""What a labelling page is told: of the project, its frames, the network's state and the blind repeats.
+"""View models of the labelling page: the project, its frames, the network's state and the blind repeats.
 
-Plain JSON-ready values as page/API.md has them; asked for over HTTP in `server.py`. Nothing is changed here.
+They are JSON-ready values in the form of page/API.md. `server.py` sends them over HTTP. Nothing is changed here.
 """
 
 from __future__ import annotations
@@ -16,33 +16,38 @@ import numpy as np
 
 from ..tracker.angle import AngleDefinition
 from ..tracker.errors import AngleError
-from .annotations import Annotations, Picture, VideoFolder
+from .annotations import Annotations, ImageFile, VideoFolder
 from .edits import Editor
 from .frame_state import FrameState, Progress
-from .ghosts import neighbour_points
-from .pictures import picture_size_wh
+from .images import header_size_wh
 from .predictions import Prediction, Predictions
-from .repeats import REMEMBERED, RepeatPlan, project_spread, repeat_plan
+from .repeatability import N_RECENT_FRAMES, RepeatPlan, project_repeatability, repeat_plan
+from .suggestions import interpolated_points
 from .summary import labels_summary
 
-_PREFETCHED = 3
+_PREFETCHED = 3  # frames after the open one whose images the page should fetch
 
 
-class NoFrameError(LookupError):
-    """A page asks for a frame that is not there, or no longer."""
+class FrameNotFoundError(LookupError):
+    """The requested frame does not exist, or no longer."""
 
 
-class PageFacts:
-    """What is told of a project.
+class ViewModels:
+    """Builds the view models of one project.
 
     Parameters
     ----------
-    annotations, editor : the project's frames
-    repeat_share : share of the labelled frames that comes back blind
+    annotations : Annotations
+        The project's frames.
+    editor : Editor
+        Source of the frames that were edited last.
+    repeat_share : float
+        Share in [0, 1] of the labelled frames that is shown again for a blind repeat label.
 
     Attributes
     ----------
-    predictions : the network at work, None without one
+    predictions : Predictions or None
+        Predictions of the network; None without a network.
     """
 
     def __init__(self, annotations: Annotations, editor: Editor, repeat_share: float) -> None:
@@ -52,7 +57,7 @@ class PageFacts:
         self.predictions: Predictions | None = None
 
     def project(self) -> dict[str, Any]:
-        """The project: its keypoints, angle, actuators."""
+        """Return the project: keypoints, angle definition and actuators."""
         self._annotations.refresh()
         project = self._annotations.project
         folders = self._annotations.folders()
@@ -75,12 +80,23 @@ class PageFacts:
         }
 
     def frame_list(self, after: str | None) -> dict[str, Any]:
-        """All frames, how far they are, and the next to label after the one named."""
+        """Return all frames with their progress, and the next frame to label.
+
+        Parameters
+        ----------
+        after : str or None
+            Id of a frame, "<video>/<image>": the search for the next frame to label starts behind it.
+
+        Returns
+        -------
+        dict of str to Any
+            Body of GET /api/frames.
+        """
         self._annotations.refresh()
         folders = self._annotations.folders()
-        frames = [self._line(folder, image) for folder in folders for image in folder.states]
+        frames = [self._list_entry(folder, image) for folder in folders for image in folder.states]
         states = [frame["state"] for frame in frames]
-        plan = self.plan_of_repeats(folders)
+        plan = self.current_repeat_plan(folders)
         return {
             "frames": frames,
             "progress": {
@@ -92,19 +108,19 @@ class PageFacts:
             "model": None if self.predictions is None else self.model_state(),
         }
 
-    def _line(self, folder: VideoFolder, image: str) -> dict[str, Any]:
-        """One frame as the list has it."""
-        picture, state = folder.pictures[image], folder.states[image]
+    def _list_entry(self, folder: VideoFolder, image: str) -> dict[str, Any]:
+        """Return a frame's entry of the frame list."""
+        image_file, state = folder.images[image], folder.states[image]
         keypoints = self._annotations.project.keypoints
-        prediction = self._prediction(picture)
+        prediction = self._prediction(image_file)
         farthest = None if prediction is None else prediction.farthest(state)
-        size_wh = picture_size_wh(picture)
+        size_wh = header_size_wh(image_file)
         return {
             "id": f"{folder.video}/{image}",
-            **_addresses(folder.video, picture),
+            **_urls(folder.video, image_file),
             "video": folder.video,
             "image": image,
-            "frame": picture.frame,
+            "frame": image_file.frame,
             "time_s": None,
             "actuator": self._annotations.project.actuator_of(folder.video),
             "state": state.progress(keypoints).value,
@@ -123,65 +139,83 @@ class PageFacts:
         }
 
     def frame(self, video: str, image: str) -> dict[str, Any]:
-        """One frame: its points, what may be in them, and what a page should fetch next."""
-        folder, picture = self.picture(video, image)
+        """Return one frame: its points, suggestions for them, and the images to prefetch.
+
+        Parameters
+        ----------
+        video : str
+            Stem of the video.
+        image : str
+            File name of the image.
+
+        Returns
+        -------
+        dict of str to Any
+            Body of GET /api/frames/<video>/<image>.
+
+        Raises
+        ------
+        FrameNotFoundError
+            There is no such frame.
+        """
+        folder, image_file = self.image_file(video, image)
         state = folder.states[image]
         keypoints = self._annotations.project.keypoints
-        names = list(folder.pictures)
+        names = list(folder.images)
         here = names.index(image)
-        soon = [folder.pictures[name] for name in names[here + 1 : here + 1 + _PREFETCHED]]
-        soon += [folder.pictures[name] for name in names[max(0, here - 1) : here]]
+        soon = [folder.images[name] for name in names[here + 1 : here + 1 + _PREFETCHED]]
+        soon += [folder.images[name] for name in names[max(0, here - 1) : here]]
         if self.predictions is not None:
-            self.predictions.want([picture, *soon])
+            self.predictions.prioritise([image_file, *soon])
         before = next((name for name in reversed(names[:here]) if folder.states[name].points), None)
-        prediction = self._prediction(picture)
-        ghosts: dict[str, Any]
+        prediction = self._prediction(image_file)
+        suggestions: dict[str, Any]
         if prediction is not None:
             source: str | None = "model"
-            ghosts = {
+            suggestions = {
                 name: {"xy": list(point), "sd_px": prediction.sd_px[name]}
                 for name, point in prediction.points.items()
                 if name in keypoints
             }
         else:
-            neighbours = neighbour_points(folder, image, keypoints)
+            neighbours = interpolated_points(folder, image, keypoints)
             source = "neighbours" if neighbours else None
-            ghosts = {name: {"xy": list(point), "sd_px": None} for name, point in neighbours.items()}
+            suggestions = {name: {"xy": list(point), "sd_px": None} for name, point in neighbours.items()}
         return {
-            **self._line(folder, image),
+            **self._list_entry(folder, image),
             "points": _points(state, keypoints),
             "not_visible": list(state.not_visible),
             "skipped": state.skipped,
-            "ghosts": ghosts,
-            "ghost_source": source,
+            "suggestions": suggestions,
+            "suggestion_source": source,
             "previous": None
             if before is None
             else {"id": f"{video}/{before}", "points": _points(folder.states[before], keypoints)},
-            "prefetch": [_addresses(video, other)["image_url"] for other in soon],
+            "prefetch": [_urls(video, other)["image_url"] for other in soon],
         }
 
     def summary(self) -> dict[str, Any]:
-        """Figures of the labels so far."""
+        """Return figures of the labels so far, the body of GET /api/summary."""
         folders = self._annotations.folders()
-        spread = project_spread(self._annotations)
-        return labels_summary(self._annotations.project, folders, self.definition(folders), spread)
+        repeatability = project_repeatability(self._annotations)
+        return labels_summary(self._annotations.project, folders, self.definition(folders), repeatability)
 
     def next_repeat(self) -> dict[str, Any] | None:
-        """The frame to label blind once more; None while none is due."""
-        plan = self.plan_of_repeats(self._annotations.folders())
+        """Return the next frame for a blind repeat label, None while none is due."""
+        plan = self.current_repeat_plan(self._annotations.folders())
         for video, image in plan.waiting if plan.due else ():
-            folder, picture = self.picture(video, image)
-            size_wh = picture_size_wh(picture)
+            folder, image_file = self.image_file(video, image)
+            size_wh = header_size_wh(image_file)
             if size_wh is None:
                 continue
-            addresses = _addresses(video, picture)
+            urls = _urls(video, image_file)
             return {
                 "id": f"{video}/{image}",
-                **addresses,
-                "put_url": addresses["url"].replace("/api/frames/", "/api/repeats/", 1),
+                **urls,
+                "put_url": urls["url"].replace("/api/frames/", "/api/repeats/", 1),
                 "video": video,
                 "image": image,
-                "frame": picture.frame,
+                "frame": image_file.frame,
                 "actuator": self._annotations.project.actuator_of(video),
                 "size_wh": list(size_wh),
                 "repeat": True,
@@ -193,18 +227,36 @@ class PageFacts:
             }
         return None
 
-    def picture(self, video: str, image: str) -> tuple[VideoFolder, Picture]:
-        """A frame's folder and picture; `NoFrameError` where there is none."""
-        folder = self._annotations.folder(video)
-        if folder is None or image not in folder.pictures:
-            raise NoFrameError(f"{video}/{image}")
-        return folder, folder.pictures[image]
+    def image_file(self, video: str, image: str) -> tuple[VideoFolder, ImageFile]:
+        """Return a frame's folder and image file.
 
-    def _prediction(self, picture: Picture) -> Prediction | None:
-        return None if self.predictions is None else self.predictions.of(picture)
+        Parameters
+        ----------
+        video : str
+            Stem of the video.
+        image : str
+            File name of the image.
+
+        Returns
+        -------
+        tuple of VideoFolder and ImageFile
+            The folder and, in it, the image file.
+
+        Raises
+        ------
+        FrameNotFoundError
+            There is no such frame.
+        """
+        folder = self._annotations.folder(video)
+        if folder is None or image not in folder.images:
+            raise FrameNotFoundError(f"{video}/{image}")
+        return folder, folder.images[image]
+
+    def _prediction(self, image_file: ImageFile) -> Prediction | None:
+        return None if self.predictions is None else self.predictions.get(image_file)
 
     def model_state(self) -> dict[str, Any]:
-        """How far the network is."""
+        """Return the network's state and progress. There must be a network."""
         predictions = self.predictions
         assert predictions is not None
         return {
@@ -215,13 +267,13 @@ class PageFacts:
             "total": predictions.total,
         }
 
-    def plan_of_repeats(self, folders: Sequence[VideoFolder]) -> RepeatPlan:
-        """Which frames come back blind."""
-        lately = self._editor.lately_edited(REMEMBERED)
-        return repeat_plan(folders, self._annotations.project.keypoints, lately, self._repeat_share)
+    def current_repeat_plan(self, folders: Sequence[VideoFolder]) -> RepeatPlan:
+        """Return which frames are to be labelled again."""
+        recent = self._editor.recently_edited(N_RECENT_FRAMES)
+        return repeat_plan(folders, self._annotations.project.keypoints, recent, self._repeat_share)
 
     def definition(self, folders: Sequence[VideoFolder]) -> AngleDefinition:
-        """The project's angle, with the sign that the labels so far give it."""
+        """Return the project's angle definition, its sign estimated from the labels so far."""
         project = self._annotations.project
         rows = [
             [state.points.get(name, (np.nan, np.nan)) for name in project.keypoints]
@@ -236,7 +288,7 @@ class PageFacts:
 
 
 def _next_frame(frames: Sequence[tuple[str, str]], after: str | None) -> str | None:
-    """The first frame that is not done, looking from the one named onwards and then from the start."""
+    """Return the first frame that is not done, searching from `after` to the end and then from the start."""
     names = [name for name, _ in frames]
     start = names.index(after) + 1 if after in names else 0
     open_states = (Progress.UNLABELLED, Progress.PARTIAL)
@@ -246,12 +298,12 @@ def _next_frame(frames: Sequence[tuple[str, str]], after: str | None) -> str | N
     return None
 
 
-def _addresses(video: str, picture: Picture) -> dict[str, str]:
-    url = f"/api/frames/{quote(video, safe='')}/{quote(picture.name, safe='')}"
+def _urls(video: str, image_file: ImageFile) -> dict[str, str]:
+    url = f"/api/frames/{quote(video, safe='')}/{quote(image_file.name, safe='')}"
     return {
         "url": url,
-        "image_url": f"{url}/image?v={picture.stamp}",
-        "thumb_url": f"{url}/thumb?v={picture.stamp}",
+        "image_url": f"{url}/image?v={image_file.stamp}",
+        "thumb_url": f"{url}/thumb?v={image_file.stamp}",
     }
 
 

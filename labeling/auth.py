@@ -1,8 +1,8 @@
-"""Who may come in: the checks that every request passes before anything of the project is looked at.
+"""Authentication: the checks that every request passes before any of the project is read.
 
-The server listens on this machine only, but any page in the user's browser can send requests there, and a name that a
-stranger owns can be made to point there. So: Host, Origin, a cookie that only the address with the token gives, and
-for changes a header that a foreign page cannot send. What is refused gets a status and nothing else.
+The server listens on this machine only. But any page in the user's browser can send requests to it (CSRF), and a
+foreign domain name can be made to resolve to it (DNS rebinding). So four things are checked: the Host, the Origin, a
+session cookie, and for changes a header that a foreign page cannot send. A refusal is a status without content.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 BODY_LIMIT = 64 * 1024
 _BODY_TIMEOUT_S = 20.0
-# A browser that was closed and opened again still is in.
+# A session outlives a browser that is closed and opened again.
 _COOKIE_AGE_S = 7 * 24 * 3600
 
 _CONTENT_POLICY = (
     "default-src 'self'; img-src 'self' blob: data:; object-src 'none'; base-uri 'none'; form-action 'none'; "
     "frame-ancestors 'none'"
 )
-_ALWAYS = {
+_SECURITY_HEADERS = {
     "content-security-policy": _CONTENT_POLICY,
     "cross-origin-opener-policy": "same-origin",
     "cross-origin-resource-policy": "same-origin",
@@ -35,14 +35,17 @@ _ALWAYS = {
 }
 
 
-class Door:
-    """ASGI middleware that lets in only the page that this server has sent.
+class AuthMiddleware:
+    """ASGI middleware that accepts requests only from the page that this server has sent.
 
     Parameters
     ----------
-    app : what lies behind
-    port : where the server listens
-    secret : the session's; whoever sends it in the cookie is in
+    app : ASGIApp
+        The protected application.
+    port : int
+        Port on which the server listens.
+    secret : str
+        Secret of the session. A request that carries it in the cookie is authenticated.
     """
 
     def __init__(self, app: ASGIApp, port: int, secret: str) -> None:
@@ -54,7 +57,7 @@ class Door:
         self._tokens: set[str] = set()
 
     def new_token(self) -> str:
-        """A word that opens the door once."""
+        """Return a one-time login token."""
         token = secrets.token_urlsafe(24)
         self._tokens.add(token)
         return token
@@ -70,24 +73,24 @@ class Door:
             headers.setdefault(name.decode("latin-1").lower(), []).append(value.decode("latin-1"))
         refusal = self._refusal(scope, headers)
         if refusal is not None:
-            await _answer(send, refusal)
+            await _send_status(send, refusal)
             return
         if scope["path"] == "/" and b"token=" in scope["query_string"]:
-            await self._let_in(scope, headers, send)
+            await self._log_in(scope, headers, send)
             return
         if not self._has_cookie(headers):
-            await _answer(send, 401)
+            await _send_status(send, 401)
             return
         if scope["method"] in ("PUT", "POST"):
             body = await _read_body(headers, receive)
             if isinstance(body, int):
-                await _answer(send, body)
+                await _send_status(send, body)
                 return
-            receive = _Replayed(body, receive)
+            receive = _BufferedReceive(body, receive)
         await self._app(scope, receive, _with_headers(send))
 
     def _refusal(self, scope: Scope, headers: Mapping[str, list[str]]) -> int | None:
-        """Status for a request that does not come from this server's own page; None if it does."""
+        """Return the status that refuses a request from elsewhere, None for one of this server's own page."""
         hosts, origins = headers.get("host", []), headers.get("origin", [])
         if len(hosts) != 1 or hosts[0].lower() not in self._hosts:
             return 403
@@ -109,11 +112,11 @@ class Door:
             return 415
         return None
 
-    async def _let_in(self, scope: Scope, headers: Mapping[str, list[str]], send: Send) -> None:
+    async def _log_in(self, scope: Scope, headers: Mapping[str, list[str]], send: Send) -> None:
         given = parse_qs(scope["query_string"].decode("latin-1"), max_num_fields=10).get("token", [])
-        known = next((t for t in self._tokens if len(given) == 1 and _equal(t, given[0])), None)
+        known = next((t for t in self._tokens if len(given) == 1 and _constant_time_equal(t, given[0])), None)
         if scope["method"] != "GET" or (known is None and not self._has_cookie(headers)):
-            await _answer(send, 403)
+            await _send_status(send, 403)
             return
         answer = {"location": "/", "cache-control": "no-store"}
         if known is not None:
@@ -121,18 +124,18 @@ class Door:
             answer["set-cookie"] = (
                 f"{self._cookie}={self._secret}; HttpOnly; SameSite=Strict; Path=/; Max-Age={_COOKIE_AGE_S}"
             )
-        await _answer(send, 303, answer)
+        await _send_status(send, 303, answer)
 
     def _has_cookie(self, headers: Mapping[str, list[str]]) -> bool:
         try:
             cookies = SimpleCookie("; ".join(headers.get("cookie", [])))
         except CookieError:
             return False
-        return self._cookie in cookies and _equal(cookies[self._cookie].value, self._secret)
+        return self._cookie in cookies and _constant_time_equal(cookies[self._cookie].value, self._secret)
 
 
-class _Replayed:
-    """A body that has been read already, then whatever the connection says."""
+class _BufferedReceive:
+    """ASGI `receive` that gives a body read in advance, then the connection's messages."""
 
     def __init__(self, body: bytes, receive: Receive) -> None:
         self._message: Message | None = {"type": "http.request", "body": body, "more_body": False}
@@ -144,7 +147,7 @@ class _Replayed:
 
 
 async def _read_body(headers: Mapping[str, list[str]], receive: Receive) -> bytes | int:
-    """The whole body, or the status that refuses it."""
+    """Return the whole body, or the status that refuses it."""
     length = headers.get("content-length", ["0"])[0]
     if not length.isdigit() or len(length) > 9:
         return 400
@@ -170,7 +173,7 @@ def _with_headers(send: Send) -> Send:
     async def sending(message: Message) -> None:
         if message["type"] == "http.response.start":
             present = {name.lower() for name, _ in message.get("headers", [])}
-            added = {"cache-control": "no-store", **_ALWAYS}
+            added = {"cache-control": "no-store", **_SECURITY_HEADERS}
             message["headers"] = [
                 *message.get("headers", []),
                 *((k.encode(), v.encode()) for k, v in added.items() if k.encode() not in present),
@@ -180,20 +183,20 @@ def _with_headers(send: Send) -> Send:
     return sending
 
 
-async def _answer(send: Send, status: int, headers: Mapping[str, str] | None = None) -> None:
-    """A status without content."""
-    lines = {**_ALWAYS, "content-length": "0", **(headers or {})}
+async def _send_status(send: Send, status: int, headers: Mapping[str, str] | None = None) -> None:
+    """Send a status without content."""
+    fields = {**_SECURITY_HEADERS, "content-length": "0", **(headers or {})}
     if status >= 400:
-        lines["connection"] = "close"  # whatever else was on its way is not read
+        fields["connection"] = "close"  # the rest of the request is not read
     await send(
         {
             "type": "http.response.start",
             "status": status,
-            "headers": [(name.encode(), value.encode("latin-1")) for name, value in lines.items()],
+            "headers": [(name.encode(), value.encode("latin-1")) for name, value in fields.items()],
         }
     )
     await send({"type": "http.response.body", "body": b""})
 
 
-def _equal(first: str, second: str) -> bool:
+def _constant_time_equal(first: str, second: str) -> bool:
     return hmac.compare_digest(first.encode("utf-8", "replace"), second.encode("utf-8", "replace"))

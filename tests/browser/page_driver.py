@@ -7,6 +7,7 @@ import re
 import shutil
 import signal
 import subprocess
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -62,22 +63,23 @@ class Labeller:
         self.page, self._root = page, root
 
     def screen(self, xy: np.ndarray) -> tuple[float, float]:
-        """Where a position of the picture is in the window; (0, 0) is the centre of the top-left pixel."""
+        """Where a position of the image is in the window; (0, 0) is the centre of the top-left pixel."""
         box = self.page.locator("#stage").bounding_box()
         assert box is not None
         scale, left, top = self.view()
         return box["x"] + left + (xy[0] + 0.5) * scale, box["y"] + top + (xy[1] + 0.5) * scale
 
     def view(self) -> tuple[float, float, float]:
-        """Scale, left and top of the picture on the stage, once drawn."""
+        """Scale, left and top of the image on the stage, once drawn."""
+        self.page.bring_to_front()  # a tab behind another one draws once in a second or two
         self.page.evaluate(
             "() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
         )
         data = self.page.locator("#stage").evaluate("stage => ({...stage.dataset})")
         return float(data["scale"]), float(data["left"]), float(data["top"])
 
-    def picture(self, at: tuple[float, float]) -> np.ndarray:
-        """The position of the picture under a place in the window."""
+    def image(self, at: tuple[float, float]) -> np.ndarray:
+        """The position of the image under a place in the window."""
         box = self.page.locator("#stage").bounding_box()
         assert box is not None
         scale, left, top = self.view()
@@ -87,10 +89,10 @@ class Labeller:
         """Click the whole screen pixel nearest to a position; the position that was really clicked."""
         at = tuple(round(c) for c in self.screen(xy))
         self.page.mouse.click(*at)
-        return self.picture(at)
+        return self.image(at)
 
     def zoom_to(self, scale: float, xy: np.ndarray) -> None:
-        """Turn the wheel over a position until the picture is that large."""
+        """Turn the wheel over a position until the image is that large."""
         for _ in range(30):
             now = self.view()[0]
             if abs(now / scale - 1) < 1e-3:
@@ -102,7 +104,7 @@ class Labeller:
         raise AssertionError(f"expected scale {scale}, got {self.view()[0]}")
 
     def pan_to_middle(self, xy: np.ndarray) -> None:
-        """Drag the picture with the middle button until a position is in the middle of the stage."""
+        """Drag the image with the middle button until a position is in the middle of the stage."""
         box = self.page.locator("#stage").bounding_box()
         assert box is not None
         middle = (box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
@@ -113,6 +115,7 @@ class Labeller:
         self.page.mouse.up(button="middle")
 
     def open(self, image: str, video: str = "video") -> None:
+        self.page.bring_to_front()
         self.page.locator(f'[data-id="{video}/{image}"]').click()
         self.opened(image, video)
 
@@ -126,6 +129,13 @@ class Labeller:
     def press(self, *keys: str) -> None:
         for key in keys:
             self.page.keyboard.press(key)
+
+    def until(self, condition: Callable[[], bool], timeout_s: float = 20) -> None:
+        """Let the browser go on until a condition holds here."""
+        deadline = time.monotonic() + timeout_s
+        while not condition():
+            assert time.monotonic() < deadline, "the condition has not come true"
+            self.page.wait_for_timeout(10)
 
     def saved(self) -> None:
         self.page.wait_for_selector('#saving[data-state="saved"]', timeout=20_000)
@@ -150,7 +160,7 @@ class Labeller:
         return np.array([points.get(name) or (np.nan, np.nan) for name in KEYPOINTS])
 
 
-class Desk:
+class PageSession:
     """A server on a project and a browser with nothing in it yet."""
 
     def __init__(self, server: Server, browser: Browser) -> None:

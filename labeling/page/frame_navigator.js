@@ -1,13 +1,13 @@
-// Which frame is open: fetching it with its picture, going on to the next, and keeping up with what the server says.
+// Frame navigation: opening a frame with its image, going to the next one, and updating it when the server changes it.
 
 import { Refused, Unreachable, get } from "./api.js";
 import { byId } from "./elements.js";
-import { say } from "./message.js";
+import { showMessage } from "./message.js";
 
 const NEIGHBOURS = [1, 2, -1, 3];
 const LOADING_AFTER_MS = 180;
 
-export class Desk {
+export class FrameNavigator {
   /** The id of the frame that is open or on its way. */
   current = null;
   #project;
@@ -29,7 +29,7 @@ export class Desk {
     this.#filmstrip = filmstrip;
   }
 
-  /** Open a frame; one that is open stays so, and takes clicks meanwhile. */
+  /** Open a frame. One that is open already stays usable meanwhile. */
   async go(id) {
     const row = this.#list.get(id);
     if (!row) return;
@@ -42,13 +42,13 @@ export class Desk {
     this.#filmstrip.setCurrent(id);
     const slow = setTimeout(() => (byId("loading").hidden = false), LOADING_AFTER_MS);
     try {
-      const picture = this.#cache.get(row.image_url);
-      const [frame, bitmap] = await Promise.all([this.#fetched(row), picture]);
+      const image = this.#cache.get(row.image_url);
+      const [frame, bitmap] = await Promise.all([this.#fetched(row), image]);
       if (attempt !== this.#attempt) return;
       this.#stage.show(bitmap);
       this.#open.open(frame, this.#project.keypoints, this.#queue.latest(id)?.body);
       byId("stage").dataset.frame = id;
-      byId("stage").setAttribute("aria-label", `Picture of frame ${row.frame ?? row.image}`);
+      byId("stage").setAttribute("aria-label", `Image of frame ${row.frame ?? row.image}`);
       history.replaceState(null, "", `#${encodeURIComponent(id)}`);
       document.title = `${row.frame ?? row.image} · ${this.#project.name} · bendtrack`;
       performance.measure("frame opened", { start: asked });
@@ -57,7 +57,7 @@ export class Desk {
       if (attempt !== this.#attempt) return;
       this.#stage.clear();
       this.#open.close();
-      say(this.#complaint(error, row), 15000);
+      showMessage(this.#errorText(error, row), 15000);
     } finally {
       clearTimeout(slow);
       if (attempt === this.#attempt) byId("loading").hidden = true;
@@ -68,10 +68,10 @@ export class Desk {
   step(steps) {
     const id = this.#list.neighbour(this.current, steps);
     if (id) this.go(id);
-    else say(steps > 0 ? "This is the last frame." : "This is the first frame.");
+    else showMessage(steps > 0 ? "This is the last frame." : "This is the first frame.");
   }
 
-  /** Take in a frame that came with an answer, going to it where it is another one. */
+  /** Show a frame that came with an answer, opening it where it is another one. */
   async show(frame) {
     this.#list.update(frame);
     if (frame.id === this.#open.frame?.id) this.#open.adopt(frame, this.#queue.latest(frame.id)?.body);
@@ -89,27 +89,27 @@ export class Desk {
       const changed = frame.revision !== this.#open.frame?.revision;
       if (id !== this.#open.frame?.id || this.#open.isRepeat) return;
       this.#open.adopt(frame, unsent?.body);
-      if (changed && !unsent) say("Changed in another tab, or by someone else.");
+      if (changed && !unsent) showMessage("Changed in another tab, or by someone else.");
     } catch (error) {
       if (!(error instanceof Unreachable || error instanceof Refused)) throw error;
     }
   }
 
-  /** What was worked out for the open frame, the ghosts above all, once more. */
-  async refreshGhosts() {
+  /** Fetch the open frame again, for its suggestions. */
+  async refreshSuggestions() {
     const row = this.#list.get(this.#open.frame?.id);
     if (!row || this.#open.isRepeat) return;
     const frame = await this.#latest(row).catch(() => null);
     if (frame) this.#open.adopt(frame, this.#queue.latest(frame.id)?.body);
   }
 
-  /** Let go of a frame that is on its way: something else is shown. */
+  /** Cancel opening a frame: something else is shown. */
   leave() {
     this.#attempt++;
     byId("loading").hidden = true;
   }
 
-  /** A frame object; while the server is away, what is known of it here, so that labelling goes on. */
+  /** A frame object; from the list while the server is unreachable, so that labelling can continue. */
   async #fetched(row) {
     try {
       const frame = await this.#latest(row);
@@ -117,7 +117,7 @@ export class Desk {
       return frame;
     } catch (error) {
       if (!(error instanceof Unreachable) || !row.points) throw error;
-      return { ghosts: {}, ghost_source: null, previous: null, prefetch: [], ...row };
+      return { suggestions: {}, suggestion_source: null, previous: null, prefetch: [], ...row };
     }
   }
 
@@ -132,7 +132,7 @@ export class Desk {
     this.#cache.prefetch([...new Set([...addresses.slice(0, 2), ...(frame.prefetch ?? []), ...addresses])]);
   }
 
-  #complaint(error, row) {
+  #errorText(error, row) {
     if (error instanceof Unreachable) return "The server does not answer; this frame opens when it is back.";
     if (error instanceof Refused && error.status === 404) return `${row.id} is no longer there.`;
     if (error instanceof Refused) return error.message;

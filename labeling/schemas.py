@@ -1,4 +1,4 @@
-"""What a page may send, checked at the door: bodies of the requests that change something."""
+"""Schemas of the request bodies that change something; pydantic validates them."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ _Coordinates = Annotated[tuple[FiniteFloat, FiniteFloat], Field(strict=False)]
 _Points = dict[str, _Coordinates | None]
 
 
-class _Body(BaseModel):
+class _Request(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
     edit_id: UUID
     client_id: _ClientId
 
 
-class StepBody(_Body):
-    """Of an undo or a redo."""
+class StepRequest(_Request):
+    """Body of an undo or a redo."""
 
 
-class EditBody(_Body):
-    """Of a change of a frame; what is left out stays."""
+class EditRequest(_Request):
+    """Body of an edit of a frame; a field that is left out stays as it is."""
 
     base_revision: _Revision
     points: _Points = Field(default_factory=dict)
@@ -37,12 +37,12 @@ class EditBody(_Body):
     skipped: bool | None = None
 
 
-class RepeatBody(_Body):
-    """Of a repeat label."""
+class RepeatRequest(_Request):
+    """Body of a repeat label."""
 
     points: _Points
 
 
-def points_of(points: _Points) -> dict[str, Point | None]:
-    """Points of a body as the label store knows them."""
+def points_from_request(points: _Points) -> dict[str, Point | None]:
+    """Convert the points of a request to those of the label store: keypoint -> (x, y) px, None to remove it."""
     return {name: None if xy is None else (float(xy[0]), float(xy[1])) for name, xy in points.items()}

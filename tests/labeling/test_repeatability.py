@@ -8,7 +8,7 @@ import uuid
 import numpy as np
 import pytest
 
-from bendtrack.labeling.repeats import labeller_spread
+from bendtrack.labeling.repeatability import estimate_repeatability
 from bendtrack.tracker.angle import AngleDefinition
 
 KEYPOINTS = ("base_1", "base_2", "tip_1", "tip_2")
@@ -41,7 +41,7 @@ def test_the_spread_is_that_of_the_hand_and_its_interval_holds_it() -> None:
     found = np.zeros(2)
     for _ in range(trials):
         labels, again = (shape + rng.normal(0, sigma, (6, 4, 2)) for _ in range(2))
-        spread = labeller_spread(labels, again, KEYPOINTS, TWO_VECTOR)
+        spread = estimate_repeatability(labels, again, KEYPOINTS, TWO_VECTOR)
         assert spread is not None
         assert (spread.n_points, spread.n_frames, spread.n_angles) == (24, 6, 6)
         held += [
@@ -57,12 +57,12 @@ def test_points_that_were_placed_once_do_not_count() -> None:
     label = np.array([[[0, 0], [10, 0], [20, 0], [30, 0]]], dtype=float)
     again = label + np.array([3.0, 4.0])
     again[0, 3] = np.nan
-    spread = labeller_spread(label, again, KEYPOINTS, TWO_VECTOR)
+    spread = estimate_repeatability(label, again, KEYPOINTS, TWO_VECTOR)
     assert spread is not None
     assert spread.px == pytest.approx(np.sqrt(12.5 / 2))  # rms of 3 and 4, over sqrt(2)
     assert (spread.n_points, spread.n_frames, spread.n_angles, spread.deg) == (3, 1, 0, None)
-    assert labeller_spread(label, np.full_like(label, np.nan), KEYPOINTS, TWO_VECTOR) is None
-    assert labeller_spread(label[:0], label[:0], KEYPOINTS, TWO_VECTOR) is None
+    assert estimate_repeatability(label, np.full_like(label, np.nan), KEYPOINTS, TWO_VECTOR) is None
+    assert estimate_repeatability(label[:0], label[:0], KEYPOINTS, TWO_VECTOR) is None
 
 
 def test_frames_come_back_blind_and_their_answers_lie_apart(study, page) -> None:
@@ -75,7 +75,7 @@ def test_frames_come_back_blind_and_their_answers_lie_apart(study, page) -> None
     while (answer := page("GET", "/api/repeats/next")).status == 200:
         due = answer.json
         assert due["repeat"] is True
-        assert not {"points", "ghosts", "previous", "note"} & set(due)
+        assert not {"points", "suggestions", "previous", "note"} & set(due)
         assert due["id"] in [study.id(i) for i in range(4 + len(asked))]
         asked.append(due["id"])
         answer = answer_repeat(page, due, shifted(SHAPE, (0.6, 0.8)))
@@ -130,7 +130,7 @@ def test_an_answer_sent_again_is_the_same_and_another_is_refused(study, page) ->
     assert answer_repeat(page, due, SHAPE).status == 404
 
 
-def test_a_frame_passed_over_is_not_asked_for_again(study, page) -> None:
+def test_a_frame_skipped_is_not_asked_for_again(study, page) -> None:
     label_all(page, study)
     due = page.get("/api/repeats/next")
     answer = answer_repeat(page, due, dict.fromkeys(KEYPOINTS))

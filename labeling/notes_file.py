@@ -1,7 +1,7 @@
-"""What CollectedData has no place for: labeled-data/<video>/bendtrack-notes.json, one for each video.
+"""The notes file of a video, labeled-data/<video>/bendtrack-notes.json: what CollectedData has no columns for.
 
-Not visible, notes, flags, skipped frames, and repeat labels. DeepLabCut does not read it and is not disturbed
-by it. What is not understood in it is kept.
+It holds keypoints that are not visible, notes, flags, skipped frames, and repeat labels. DeepLabCut ignores the file.
+Unknown keys are kept.
 """
 
 from __future__ import annotations
@@ -17,17 +17,27 @@ from ..tracker.errors import LabelError
 NOTES_FILE = "bendtrack-notes.json"
 _FORMAT = "bendtrack-notes-1"
 
-Remarks = Mapping[str, Any]
-"""One image's entry: not_visible, note, flagged, skipped, repeat; each only where there is something."""
+NotesEntry = Mapping[str, Any]
+"""One image's entry: not_visible, note, flagged, skipped, repeat. A key with an empty value is left out."""
 
 
-def read_notes(folder: Path) -> dict[str, Remarks]:
-    """Image name -> its entry; empty without a file.
+def read_notes(folder: Path) -> dict[str, NotesEntry]:
+    """Read the notes file of a video.
+
+    Parameters
+    ----------
+    folder : Path
+        The video's folder in labeled-data/.
+
+    Returns
+    -------
+    dict of str to NotesEntry
+        Image name -> its entry; empty where there is no file.
 
     Raises
     ------
     LabelError
-        The file is not what `write_notes` writes.
+        The file is malformed.
     """
     path = folder / NOTES_FILE
     try:
@@ -47,14 +57,23 @@ def read_notes(folder: Path) -> dict[str, Remarks]:
 
 
 def write_notes(folder: Path, image: str, changes: Mapping[str, Any]) -> None:
-    """Set keys of one image's entry; a value that says nothing (None, False, "", []) takes the key away.
+    """Set keys of one image's entry in the notes file. The file is replaced as a whole.
+
+    Parameters
+    ----------
+    folder : Path
+        The video's folder in labeled-data/.
+    image : str
+        File name of the image.
+    changes : mapping of str to Any
+        Keys to set; an empty value (None, False, "", []) removes the key.
 
     Raises
     ------
     LabelError
-        As `read_notes`.
+        The file is malformed.
     OSError
-        The file cannot be written; the old one is then as it was.
+        The file cannot be written; the old one is unchanged.
     """
     images = read_notes(folder)
     entry = {key: value for key, value in {**images.get(image, {}), **changes}.items() if value}
