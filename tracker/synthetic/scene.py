@@ -7,7 +7,7 @@ import numpy as np
 
 from ..types import FloatArray, ImageArray
 from .looks import Colour, Light, Look, Scene
-from .skin import smooth_noise
+from .stream.noise import smooth_noise
 
 
 def thrice(plane: FloatArray) -> FloatArray:

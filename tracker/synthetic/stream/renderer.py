@@ -1,4 +1,7 @@
-"""From a look to pictures with their truth."""
+"""The renderer: from a look and a bend to an image with its exact truth.
+
+Its parts (background, clamp, body texture, warp, exposure) live in modules of their own.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +12,14 @@ import numpy as np
 
 from ...types import BoolArray, FloatArray, ImageArray
 from .backgrounds import background
-from .chain import DENSE, KEYPOINTS, Chain, Projection, opposite, turn_in_picture_deg
+from .body_texture import draw_texture
+from .chain import DENSE, KEYPOINTS, Chain, Projection, opposite, turn_in_image_deg
 from .clamps import clamp, reach
-from .coat import coat
-from .exposure import light_map, taken
-from .laying import Layer, laid
+from .distractors import Painter
+from .exposure import expose, light_map
 from .look import Light, Look, Place
 from .paint import Shade, axes, curve
-from .things import Painter
+from .warp import Layer, warped
 
 # Bodies that cover more than this many px are not supersampled.
 _LARGE_PX = 2500
@@ -24,20 +27,20 @@ _LARGE_PX = 2500
 
 @dataclass(frozen=True)
 class Sample:
-    """A picture and its exact truth.
+    """An image and its exact truth.
 
     Attributes
     ----------
-    picture : RGB uint8 (H, W, 3)
-    midline_xy : (96, 2) px of the picture, evenly along the body from where it leaves the clamp to its end
+    image : RGB uint8 (H, W, 3)
+    midline_xy : (96, 2) px of the image, evenly along the body from where it leaves the clamp to its end
     keypoints_xy : (9, 2) px, in the order of `KEYPOINTS`
-    visible : (9,) bool; within the picture, and nothing lies before it
-    angle_deg : turn from base_2 - base_1 to tip_2 - tip_1 in the picture, followed along the body, clockwise on
+    visible : (9,) bool; within the image, and nothing lies before it
+    angle_deg : turn from base_2 - base_1 to tip_2 - tip_1 in the image, followed along the body, clockwise on
         the screen positive; of a tilted plane not the bend that was asked for
     look : what is shown; `look.words` are its families
     """
 
-    picture: ImageArray
+    image: ImageArray
     midline_xy: FloatArray
     keypoints_xy: FloatArray
     visible: BoolArray
@@ -45,7 +48,7 @@ class Sample:
     look: Look
 
 
-class Stage:
+class Renderer:
     """Draws one look at any angle. What does not move is drawn once, here."""
 
     def __init__(self, look: Look) -> None:
@@ -82,26 +85,26 @@ class Stage:
         if pressure is None:
             pressure = float(np.clip(bend_deg / max(look.bend_deg[1], 90.0), 0, 1))
         chains = [Chain(look.body, place, bend_deg) for place in self._places]
-        picture = self._background.copy()
-        # A large body is sharp enough with one sample a px: the coat's own edge is smooth.
+        image = self._background.copy()
+        # A large body is sharp enough with one sample a px: the texture's own edge is smooth.
         fine = 2 if 2 * look.body.half_px * look.body.length_px < _LARGE_PX else 1
         layers: list[tuple[Layer | None, Layer | None]] = []
         for chain in chains:
-            skin = coat(look.body, look.surface, look.light, chain, pressure, 0.6 + 0.7 * fine)
-            layers.append(laid(skin, chain, self._projection, look.size_wh, look.body.tip_over, fine))
+            texture = draw_texture(look.body, look.surface, look.light, chain, pressure, 0.6 + 0.7 * fine)
+            layers.append(warped(texture, chain, self._projection, look.size_wh, look.body.tip_over, fine))
         shadow = self._texture * self._shadow([layer for pair in layers for layer in pair if layer])
-        picture = cv2.multiply(picture, cv2.cvtColor(shadow, cv2.COLOR_GRAY2RGB), dtype=cv2.CV_8U)
-        clamped, cover = np.zeros((2, *picture.shape[:2]), np.uint8)
+        image = cv2.multiply(image, cv2.cvtColor(shadow, cv2.COLOR_GRAY2RGB), dtype=cv2.CV_8U)
+        clamped, cover = np.zeros((2, *image.shape[:2]), np.uint8)
         # The labelled arm comes last and lies over the other.
         for place, (behind, front) in zip(self._places, layers, strict=True):
             for layer in (behind, front):
                 if layer is not None:
-                    _lay(picture, layer, self._shade if layer is front and behind is not None else None)
-            self._clamp(picture, place, clamped if place is look.place else None)
-        self._occlude(picture, cover)
+                    _blend(image, layer, self._shade if layer is front and behind is not None else None)
+            self._clamp(image, place, clamped if place is look.place else None)
+        self._occlude(image, cover)
         rng = np.random.default_rng([look.scene.seed, 9, noise_seed])
         return self._with_truth(
-            taken(picture, self._lit, self._light_at(moment), look.sensor, rng),
+            expose(image, self._lit, self._light_at(moment), look.sensor, rng),
             (cover, clamped),
             chains[-1],
             layers[-1],
@@ -118,14 +121,14 @@ class Stage:
 
     def _with_truth(
         self,
-        picture: ImageArray,
+        image: ImageArray,
         covers: tuple[ImageArray, ImageArray],
         chain: Chain,
         layers: tuple[Layer | None, Layer | None],
     ) -> Sample:
-        """The truth beside the picture. `covers`: where an occluder lies, and where the clamp does."""
+        """The truth beside the image. `covers`: where an occluder lies, and where the clamp does."""
         s = np.concatenate([np.linspace(0, chain.length_px, DENSE), chain.keypoint_s])
-        midline, keypoints = np.split(self._projection.picture(chain.point(s)), [DENSE])
+        midline, keypoints = np.split(self._projection.to_image(chain.point(s)), [DENSE])
         width, height = self.look.size_wh
         x_px, y_px = keypoints.T
         visible = (x_px >= -0.5) & (x_px <= width - 0.5) & (y_px >= -0.5) & (y_px <= height - 0.5)
@@ -144,16 +147,16 @@ class Stage:
                 inside = 0 <= v < front.rgba.shape[0] and 0 <= u < front.rgba.shape[1]
                 if inside and front.rgba[v, u, 3] > 127:
                     visible[index] = False
-        angle = turn_in_picture_deg(keypoints, midline)
-        return Sample(picture, midline, keypoints, visible, angle, self.look)
+        angle = turn_in_image_deg(keypoints, midline)
+        return Sample(image, midline, keypoints, visible, angle, self.look)
 
     def _draw_behind(self) -> None:
         """Things that lie about and the tubes: into the background."""
         look, scene = self.look, self.look.scene
         rng = np.random.default_rng([scene.seed, 4])
         painter = Painter(self._background, rng, self._unit, self._shade)
-        for _ in range(scene.things):
-            painter.anything(rng.random(2) * look.size_wh, rng.uniform(0, 2 * np.pi))
+        for _ in range(scene.distractors):
+            painter.any_distractor(rng.random(2) * look.size_wh, rng.uniform(0, 2 * np.pi))
         for place in self._places:
             turn = rng.normal(0, 0.25, 6).cumsum()
             if not scene.tube_px:
@@ -165,7 +168,7 @@ class Stage:
             )
             steps = 40 * self._unit * np.stack([np.cos(heading), np.sin(heading)], axis=1)
             knots = np.concatenate([start[None], start + np.cumsum(steps, axis=0)])
-            painter.hose(self._projection.picture(curve(knots)), scene.tube_colour, scene.tube_px)
+            painter.hose(self._projection.to_image(curve(knots)), scene.tube_colour, scene.tube_px)
         if len(self._places) == 2:
             self._mount(painter, rng)
 
@@ -183,9 +186,9 @@ class Stage:
                 for side in (-0.7, 0.7)
             ]
         hull = cv2.convexHull(np.asarray(ends, np.float32)).reshape(-1, 2).astype(float)
-        painter.fill(self._projection.picture(hull), self.look.scene.clamp_colour)
+        painter.fill(self._projection.to_image(hull), self.look.scene.clamp_colour)
 
-    def _clamp(self, picture: ImageArray, place: Place, cover: ImageArray | None) -> None:
+    def _clamp(self, image: ImageArray, place: Place, cover: ImageArray | None) -> None:
         look = self.look
         thick = max(2 * look.body.half_px, 7 * self._unit)
         heading = np.radians(place.direction_deg)
@@ -194,7 +197,7 @@ class Stage:
 
         def local(st: FloatArray) -> FloatArray:
             # OpenCV fills a polygon about half a px beyond its outline; the face is to lie at the base.
-            return self._projection.picture(np.asarray(place.base_xy) - 0.45 * along + st @ unit)
+            return self._projection.to_image(np.asarray(place.base_xy) - 0.45 * along + st @ unit)
 
         rng = np.random.default_rng([look.scene.clamp_seed, 5])
         clamp(
@@ -202,22 +205,22 @@ class Stage:
             look.scene.clamp_colour,
             local,
             thick,
-            Painter(picture, rng, self._unit, None, cover),
+            Painter(image, rng, self._unit, None, cover),
         )
 
-    def _occlude(self, picture: ImageArray, cover: ImageArray) -> None:
+    def _occlude(self, image: ImageArray, cover: ImageArray) -> None:
         """Things that lie over the body halfway through its bends, and do not move with it."""
         look, scene = self.look, self.look.scene
         if not scene.occluders:
             return
         chain = Chain(look.body, look.place, sum(look.bend_deg) / 2)
         rng = np.random.default_rng([scene.seed, 6])
-        painter = Painter(picture, rng, self._unit, self._shade, cover)
+        painter = Painter(image, rng, self._unit, self._shade, cover)
         for _ in range(scene.occluders):
             s = rng.uniform(0.15, 1.0) * chain.length_px
-            place = self._projection.picture(chain.point(s))
+            place = self._projection.to_image(chain.point(s))
             across = float(chain.heading_at(np.array(s))) + np.pi / 2 + rng.normal(0, 0.5)
-            painter.hiding(place, across + np.pi * int(rng.integers(2)))
+            painter.any_occluder(place, across + np.pi * int(rng.integers(2)))
 
     def _shadow(self, layers: list[Layer]) -> FloatArray:
         """What the bodies' and clamps' shadow leaves of the light on the background, (H, W) float32."""
@@ -231,7 +234,7 @@ class Stage:
             heading, thick = np.radians(place.direction_deg), 2 * self.look.body.half_px
             along, _ = axes(heading)
             ends = np.array([place.base_xy, np.asarray(place.base_xy) - 1.2 * thick * along])
-            corners = np.round(self._projection.picture(ends)).astype(np.int32)
+            corners = np.round(self._projection.to_image(ends)).astype(np.int32)
             cv2.line(
                 mask, tuple(corners[0].tolist()), tuple(corners[1].tolist()), 255, max(1, int(1.2 * thick))
             )
@@ -244,10 +247,10 @@ class Stage:
         return cv2.resize(left, (width, height), interpolation=cv2.INTER_LINEAR) * np.float32(1 / 255)
 
 
-def _lay(picture: ImageArray, layer: Layer, shade: Shade | None) -> None:
-    """Put a layer over the picture, in place, with its shadow on what lies just behind."""
+def _blend(image: ImageArray, layer: Layer, shade: Shade | None) -> None:
+    """Blend a layer over the image, in place, with its shadow on what lies just behind."""
     rows, columns = layer.rgba.shape[:2]
-    part = picture[layer.y0 : layer.y0 + rows, layer.x0 : layer.x0 + columns]
+    part = image[layer.y0 : layer.y0 + rows, layer.x0 : layer.x0 + columns]
     alpha = layer.rgba[..., 3]
     through = 255 - alpha
     if shade is not None:
