@@ -12,6 +12,9 @@ from .look import Body, Place, View
 
 SEGMENTS = 24
 KEYPOINTS = ("base_1", "base_2", "mid_1", "mid_2", "mid_3", "mid_4", "mid_5", "tip_1", "tip_2")
+# The two points of each end, and where they are among `KEYPOINTS`.
+END_KEYPOINTS = ("base_1", "base_2", "tip_1", "tip_2")
+ENDS = [KEYPOINTS.index(name) for name in END_KEYPOINTS]
 # Points of the dense midline.
 DENSE = 96
 # Middles of the arcs along the bend, and turns that add up to nothing, whose sizes add up to 1.

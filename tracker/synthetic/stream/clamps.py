@@ -29,6 +29,14 @@ def reach(word: str) -> float:
     return {"fingers": 0.4, "clip": 0.9, "pipe": 1.6}.get(word, 1.3)
 
 
+def extent(word: str) -> tuple[float, float]:
+    """How far it can extend behind its face and to each side of the midline, in thicknesses.
+
+    Only what holds the body: a stand's rod and an arm reach farther.
+    """
+    return {"vice": (1.5, 4.1), "clip": (2.4, 1.7), "block": (2.2, 1.7)}.get(word, (2.3, 1.2))
+
+
 def _box(s0: float, s1: float, t0: float, t1: float) -> FloatArray:
     return np.array([[s0, t0], [s1, t0], [s1, t1], [s0, t1]])
 

@@ -8,7 +8,9 @@ without tilt and lens. Looks are sampled at random in `look_sampling.py`.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from .families import Families, Words
 
@@ -214,3 +216,38 @@ class Look:
     scene: Scene
     light: Light
     sensor: Sensor
+
+    @classmethod
+    def from_dict(cls, settings: Mapping[str, Any]) -> Look:
+        """Rebuild the look that `dataclasses.asdict` took apart, also from JSON.
+
+        Raises
+        ------
+        KeyError, TypeError
+            The settings are not those of a look.
+        """
+        fields = {
+            name: _PARTS[name](**_tuples(value)) if name in _PARTS else _tuples(value)
+            for name, value in settings.items()
+        }
+        return cls(**fields)
+
+
+_PARTS: dict[str, Any] = {
+    "families": Families,
+    "words": Words,
+    "body": Body,
+    "surface": Surface,
+    "place": Place,
+    "view": View,
+    "scene": Scene,
+    "light": Light,
+    "sensor": Sensor,
+}
+
+
+def _tuples(value: Any) -> Any:
+    """JSON knows no tuples; a look has no lists."""
+    if isinstance(value, Mapping):
+        return {name: _tuples(item) for name, item in value.items()}
+    return tuple(_tuples(item) for item in value) if isinstance(value, list) else value

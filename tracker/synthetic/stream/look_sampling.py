@@ -5,6 +5,7 @@ Bodies and surfaces are sampled in `body_sampling.py`, cameras and lamps in `cam
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -19,9 +20,9 @@ from .look import Body, Colour, Look, Place, Scene, Sensor, Surface, View
 from .rng import Rng
 
 # The body's inner side must not fold: largest product of curvature and half thickness.
-_TIGHTEST = 0.72
+TIGHTEST = 0.72
 # Thinnest body, px of an image of 256.
-_THINNEST_PX = 4.5
+THINNEST_PX = 4.5
 # Arms that bend toward each other as far as this would lie in each other's way.
 _ARMS_CROSS_DEG = 130
 # How much of the clamp, in half thicknesses, and how often.
@@ -51,13 +52,42 @@ def drawn_look(
     partly_out : how often it does not
     """
     rng = Rng(seed, index, 7)
+
+    def place(words: Words, body: Body, view: View) -> tuple[Body, Place]:
+        return _placed(body, view, size_wh, bend_deg, rng, partly_out)
+
+    return compose_look(rng, size_wh, families, bend_deg, place)
+
+
+def compose_look(
+    rng: Rng,
+    size_wh: tuple[int, int],
+    families: Families,
+    bend_deg: tuple[float, float],
+    place: Callable[[Words, Body, View], tuple[Body, Place]],
+) -> Look:
+    """Draw a look around a body that `place` scales and puts into the image.
+
+    Parameters
+    ----------
+    rng : Rng
+        What everything is drawn from, in a fixed order.
+    size_wh : tuple of int
+        Size of the images, px.
+    families : Families
+        The words that the look may be drawn from.
+    bend_deg : tuple of float
+        Range of bends that it will be shown at, degrees.
+    place : callable
+        From the words, a body of length 1 and the view to the body in px and its place.
+    """
     words = Words(
         *(rng.choice(f) for f in (families.materials, families.backgrounds, families.shapes, families.clamps))
     )
     body, surface = drawn_body(words.shape, rng, bend_deg), drawn_surface(words.material, rng)
     view = drawn_view(rng)
     sensor = drawn_sensor(rng, size_wh)
-    body, place = _placed(body, view, size_wh, bend_deg, rng, partly_out)
+    body, placed = place(words, body, view)
     light = drawn_light(rng, body, size_wh)
     scene = _scene(words, surface, body, sensor, rng, size_wh)
     if _contrast(surface.cap_colour, scene.colour, sensor.kind == "colour") < _SEEN:
@@ -65,7 +95,7 @@ def drawn_look(
         surface = replace(
             surface, cap_colour=(0.90, 0.89, 0.85) if _luma(scene.colour) < 0.5 else (0.08, 0.08, 0.09)
         )
-    return Look(size_wh, families, words, bend_deg, body, surface, place, view, scene, light, sensor)
+    return Look(size_wh, families, words, bend_deg, body, surface, placed, view, scene, light, sensor)
 
 
 def in_other_light(look: Look, seed: int) -> Look:
@@ -98,7 +128,7 @@ def _placed(
     low, high = bend_deg
     bends = np.array([low]) if high == low else np.linspace(low, high, 7)
     folds = max(tightest(body, float(b)) * (INNER if b > 0 else OUTER) for b in {low, high})
-    body = replace(body, half_px=min(body.half_px, _TIGHTEST / folds))
+    body = replace(body, half_px=min(body.half_px, TIGHTEST / folds))
     side = 1 if rng.bernoulli(0.5) else -1
     place = Place((0.0, 0.0), rng.uniform(0, 360), side, None)
     # The body's outline is the midline and its normals, which grow with it. The end is in the last piece.
@@ -118,8 +148,8 @@ def _placed(
     extent = np.ptp(outline(1.0, body.half_px), axis=0)
     wanted = rng.uniform(0.2, 0.95) if rng.bernoulli(0.3) else rng.uniform(0.35, 0.85)
     length = float(min(wanted * size.max() / extent.max(), (0.95 * size / extent).min()))
-    thinnest = 0.5 * _THINNEST_PX * size.max() / 256
-    half = min(max(body.half_px * length, thinnest), _TIGHTEST / folds * length)
+    thinnest = 0.5 * THINNEST_PX * size.max() / 256
+    half = min(max(body.half_px * length, thinnest), TIGHTEST / folds * length)
     body = replace(body, length_px=length, half_px=half)
     around, projection = outline(length, half), Projection(view, size_wh)
     # Tilt and lens move things a little: where the body comes to lie is seen in the image, twice.

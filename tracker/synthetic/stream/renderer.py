@@ -23,6 +23,10 @@ from .warp import Layer, warped
 
 # Bodies that cover more than this many px are not supersampled.
 _LARGE_PX = 2500
+# A tip moves about this share of the body's length for each radian of bend.
+_TIP_TRAVEL = 0.5
+# A way of the tip during the exposure, px: a shorter one cannot be seen, and its blur costs two more bends to draw.
+_SHARP_PX = 2.0
 
 
 @dataclass(frozen=True)
@@ -48,6 +52,30 @@ class Sample:
     look: Look
 
 
+@dataclass(frozen=True)
+class _Shot:
+    """What is in front of the camera at one bend.
+
+    Attributes
+    ----------
+    image : ndarray
+        RGB uint8 (H, W, 3), not exposed yet.
+    chain : Chain
+        Of the labelled arm.
+    behind, front : Layer or None
+        Halves of the labelled arm, see `warp.warped`.
+    occluded, clamped : ndarray
+        Coverage by occluders and by the labelled arm's clamp, uint8 (H, W).
+    """
+
+    image: ImageArray
+    chain: Chain
+    behind: Layer | None
+    front: Layer | None
+    occluded: ImageArray
+    clamped: ImageArray
+
+
 class Renderer:
     """Draws one look at any angle. What does not move is drawn once, here."""
 
@@ -71,19 +99,47 @@ class Renderer:
         pressure: float | None = None,
         noise_seed: int = 0,
         moment: float | None = None,
+        sweep_deg: float = 0.0,
     ) -> Sample:
         """Draw the actuator.
 
         Parameters
         ----------
-        bend_deg : bend in the plane of the body, toward the side to which it bends under pressure
-        pressure : relative to the full one, swells the chambers; None goes with the bend
-        noise_seed : of the sensor's noise
-        moment : in the film, from 0 to 1: as far the exposure has wandered. None: it is as it was set
+        bend_deg : float
+            Bend in the plane of the body, toward the side to which it bends under pressure.
+        pressure : float or None
+            Relative to the full one, swells the chambers. None: in proportion to the bend.
+        noise_seed : int
+            Of the sensor's noise.
+        moment : float or None
+            Place in the film, from 0 to 1, at which the exposure has drifted. None: as the look sets it.
+        sweep_deg : float
+            How far the bend moves while the shutter is open. The truth is that of the middle.
+
+        Returns
+        -------
+        Sample
+            The image and its truth.
         """
         look = self.look
         if pressure is None:
             pressure = float(np.clip(bend_deg / max(look.bend_deg[1], 90.0), 0, 1))
+        travel_px = abs(np.radians(sweep_deg)) * _TIP_TRAVEL * look.body.length_px
+        # An odd number: the middle one is at `bend_deg` exactly.
+        steps = 1 + 2 * min(int(travel_px / _SHARP_PX), 2)
+        shots = [
+            self._composed(bend_deg + sweep_deg * ((k + 0.5) / steps - 0.5), pressure) for k in range(steps)
+        ]
+        middle = shots[steps // 2]
+        rng = np.random.default_rng([look.scene.seed, 9, noise_seed])
+        image = expose(
+            _averaged([shot.image for shot in shots]), self._lit, self._light_at(moment), look.sensor, rng
+        )
+        return self._with_truth(image, middle)
+
+    def _composed(self, bend_deg: float, pressure: float) -> _Shot:
+        """Background, shadow, body, clamps and occluders at one bend, before the camera."""
+        look = self.look
         chains = [Chain(look.body, place, bend_deg) for place in self._places]
         image = self._background.copy()
         # A large body is sharp enough with one sample a px: the texture's own edge is smooth.
@@ -102,13 +158,7 @@ class Renderer:
                     _blend(image, layer, self._shade if layer is front and behind is not None else None)
             self._clamp(image, place, clamped if place is look.place else None)
         self._occlude(image, cover)
-        rng = np.random.default_rng([look.scene.seed, 9, noise_seed])
-        return self._with_truth(
-            expose(image, self._lit, self._light_at(moment), look.sensor, rng),
-            (cover, clamped),
-            chains[-1],
-            layers[-1],
-        )
+        return _Shot(image, chains[-1], *layers[-1], cover, clamped)
 
     def _light_at(self, moment: float | None) -> Light:
         """The look's light, its exposure up and down a few times during the film."""
@@ -119,20 +169,14 @@ class Renderer:
         wander = 1 + light.drift * np.sin(2 * np.pi * (times * moment + phase))
         return replace(light, gain=light.gain * float(wander))
 
-    def _with_truth(
-        self,
-        image: ImageArray,
-        covers: tuple[ImageArray, ImageArray],
-        chain: Chain,
-        layers: tuple[Layer | None, Layer | None],
-    ) -> Sample:
-        """The truth beside the image. `covers`: where an occluder lies, and where the clamp does."""
+    def _with_truth(self, image: ImageArray, shot: _Shot) -> Sample:
+        """The image that the camera hands over, and the truth of what was in front of it."""
+        chain, behind, front = shot.chain, shot.behind, shot.front
         s = np.concatenate([np.linspace(0, chain.length_px, DENSE), chain.keypoint_s])
         midline, keypoints = np.split(self._projection.to_image(chain.point(s)), [DENSE])
         width, height = self.look.size_wh
         x_px, y_px = keypoints.T
         visible = (x_px >= -0.5) & (x_px <= width - 0.5) & (y_px >= -0.5) & (y_px <= height - 0.5)
-        behind, front = layers
         # Where the body overlaps itself, the hinder half's points may lie under the front half.
         hinder = (
             slice(0, len(KEYPOINTS) // 2) if self.look.body.tip_over else slice(len(KEYPOINTS) // 2 + 1, None)
@@ -140,7 +184,7 @@ class Renderer:
         for index in np.flatnonzero(visible):
             x, y = min(max(round(x_px[index]), 0), width - 1), min(max(round(y_px[index]), 0), height - 1)
             # The body leaves the clamp at its edge: that point is seen.
-            if covers[0][y, x] > 127 or (index > 0 and covers[1][y, x] > 127):
+            if shot.occluded[y, x] > 127 or (index > 0 and shot.clamped[y, x] > 127):
                 visible[index] = False
             if behind is not None and front is not None and index in range(len(KEYPOINTS))[hinder]:
                 u, v = x - front.x0, y - front.y0
@@ -245,6 +289,16 @@ class Renderer:
         contact = cv2.GaussianBlur(small, (0, 0), 1.2 * self._unit)
         left = cv2.addWeighted(soft, -0.75 * light.shadow, contact, -0.25 * light.shadow, 255)
         return cv2.resize(left, (width, height), interpolation=cv2.INTER_LINEAR) * np.float32(1 / 255)
+
+
+def _averaged(images: list[ImageArray]) -> ImageArray:
+    """Mean of images, as a shutter that stays open sees them."""
+    if len(images) == 1:
+        return images[0]
+    total = np.zeros(images[0].shape, np.float32)
+    for image in images:
+        cv2.accumulate(image, total)
+    return np.asarray(cv2.convertScaleAbs(total, alpha=1 / len(images)), np.uint8)
 
 
 def _blend(image: ImageArray, layer: Layer, shade: Shade | None) -> None:
