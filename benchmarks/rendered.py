@@ -12,6 +12,7 @@ from bendtrack.labeling.interop.dlc import import_dlc, project_for
 from bendtrack.labeling.store import LabelStore
 from bendtrack.tracker.angle import AngleDefinition
 from bendtrack.tracker.project import Project
+from bendtrack.tracker.synthetic.stream import HELD_OUT
 from bendtrack.tracker.synthetic.trial import Trial, labelled_sample, render_trial, write_labels
 from bendtrack.tracker.types import FloatArray, LabelledFrame
 
@@ -42,7 +43,10 @@ def labelled_trial(
     seconds: float = 12.0,
     size_wh: tuple[int, int] = (640, 480),
 ) -> LabelledTrial:
-    """Render two triangle cycles to 205 degrees, and label them as a person with `noise_px` of error would."""
+    """Render two triangle cycles to 205 degrees, and label them as a person with `noise_px` of error would.
+
+    The look is of the words that pretraining has not seen: material, background, shape and clamp.
+    """
     trial = render_trial(
         folder / "trial",
         seed=seed,
@@ -51,6 +55,7 @@ def labelled_trial(
         angle_max_deg=205.0,
         end_vector_px=end_vector_px,
         size_wh=size_wh,
+        families=HELD_OUT,
     )
     labelled, xy = labelled_sample(trial, count=n_labels, noise_px=noise_px, seed=seed)
     labels = folder / "labels.csv"

@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 import cv2
 import numpy as np
 
-from bendtrack.tracker.synthetic.stream import HELD_OUT, Stage, draw, drawn_look, inflation_deg
+from bendtrack.tracker.synthetic.stream import HELD_OUT, Renderer, draw, drawn_look, inflation_deg
 from bendtrack.tracker.types import FloatArray
 
 # Fields of noise are drawn at the first use of each.
@@ -58,10 +58,10 @@ def main() -> None:
     drawn = milliseconds([lambda i=index: draw(args.seed, i) for index in range(args.pictures)])
     print(line("256 x 256, every look", drawn))
     look = drawn_look(args.seed, size_wh=(640, 480), families=HELD_OUT)
-    stage = Stage(look)
-    stage.frame(0)
+    renderer = Renderer(look)
+    renderer.frame(0)
     bends = inflation_deg(look, args.frames)
-    print(line("640 x 480, one look", milliseconds([lambda b=bend: stage.frame(b) for bend in bends])))
+    print(line("640 x 480, one look", milliseconds([lambda b=bend: renderer.frame(b) for bend in bends])))
 
 
 if __name__ == "__main__":

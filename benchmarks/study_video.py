@@ -33,10 +33,10 @@ from bendtrack.tracker.results import write_results
 from bendtrack.tracker.study.analysis import analyse_study
 from bendtrack.tracker.study.study_file import read_study
 from bendtrack.tracker.study.trial_data import load_trial
-from bendtrack.tracker.synthetic.looks import Look
-from bendtrack.tracker.synthetic.sampling import random_look
+from bendtrack.tracker.synthetic.stream import HELD_OUT, Look
 from bendtrack.tracker.synthetic.study_plan import DYNAMIC, RESIDUAL
 from bendtrack.tracker.synthetic.trial import Trial, labelled_sample, render_trial, write_labels
+from bendtrack.tracker.synthetic.trial_looks import trial_look
 from bendtrack.tracker.tracking import track
 
 DESIGNS = ("original", "mid-width smaller")
@@ -87,12 +87,12 @@ class Row:
 
 
 def looks_of(designs: int, first_seed: int, length_px: float) -> list[Look]:
-    """Looks that bend to one side, as actuators in one rig do: a project has one sign."""
+    """Looks of words that pretraining has not seen. All bend to one side, as actuators in one rig do: a project has one sign."""
     found: list[Look] = []
     seed = first_seed
     while len(found) < designs:
-        look = random_look(seed, end_vector_px=length_px)
-        if not found or look.pose.side == found[0].pose.side:
+        look = trial_look(seed, end_vector_px=length_px, families=HELD_OUT)
+        if not found or look.place.side == found[0].place.side:
             found.append(look)
         seed += 1
     return found

@@ -82,7 +82,7 @@ def build_beside(path: Path) -> EngineRecord:
     checkpoint = load_checkpoint(file)
     if checkpoint.pretrained:
         seed = checkpoint.training["settings"]["seed"]
-        frames = [sample.picture for sample, _ in rendered_samples(seed, range(RENDERED_FRAMES))]
+        frames = [sample.image for sample, _ in rendered_samples(seed, range(RENDERED_FRAMES))]
     else:
         labels = file.resolve().parent.parent.parent / "labeled-data"  # of models/<name>/weights.safetensors
         known = [labels / name for name in checkpoint.training.get("trained_on", [])]

@@ -11,7 +11,7 @@ from bendtrack.models.detector import NetworkDetector
 from bendtrack.tracker.errors import VideoError
 from bendtrack.tracker.project import Project
 from bendtrack.tracker.results import read_results
-from bendtrack.tracker.synthetic.stream import KEYPOINTS, TRAINING, Stage, drawn_look, inflation_deg
+from bendtrack.tracker.synthetic.stream import KEYPOINTS, TRAINING, Renderer, drawn_look, inflation_deg
 from bendtrack.tracker.video import Video
 from bendtrack.tracker.video_writer import VideoWriter
 
@@ -66,11 +66,11 @@ def test_what_comes_with_bendtrack_measures_an_actuator_that_nobody_labelled(
     """With the points along its midline in the table."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     look = drawn_look(21, 3, size_wh=(400, 300), families=TRAINING, bend_deg=(0.0, 150.0))
-    stage, truth_deg = Stage(look), []
+    renderer, truth_deg = Renderer(look), []
     with VideoWriter(tmp_path / "film.mp4", (400, 300), frame_rate=30) as writer:
         for index, bend in enumerate(inflation_deg(look, 36)):
-            sample = stage.frame(float(bend), noise_seed=index)
-            writer.write(sample.picture)
+            sample = renderer.frame(float(bend), noise_seed=index)
+            writer.write(sample.image)
             truth_deg.append(sample.angle_deg)
     asked = "angle", tmp_path / "film.mp4", "--engine", "torch", "--quick", "--out", tmp_path / "out"
     assert bendtrack(*asked).status == 0

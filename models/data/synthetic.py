@@ -51,7 +51,7 @@ def rendered_pictures(seed: int, indices: Sequence[int]) -> Rendered:
     """The stream's pictures of these numbers."""
     samples = [draw(seed, index, size_wh=PICTURE_WH, families=TRAINING) for index in indices]
     return Rendered(
-        stacked([sample.picture for sample in samples]),
+        stacked([sample.image for sample in samples]),
         np.stack([sample.keypoints_xy for sample in samples]),
         np.stack([sample.visible for sample in samples]),
         np.array([body_px(sample) for sample in samples]),
@@ -69,7 +69,7 @@ def rendered_samples(seed: int, indices: Sequence[int]) -> Iterator[tuple[Sample
         sample = draw(seed, index, size_wh=PICTURE_WH, families=TRAINING)
         fine = min(MAX_MAGNIFICATION, PATCH_SIDE / (PATCH_BODY_SHARE * body_px(sample)))
         region = RegionOfInterest(PICTURE_WH, 0, 0, *PICTURE_WH, LOCATOR_INPUT / PICTURE_SIDE, fine)
-        yield sample, prepare(sample.picture, sample.keypoints_xy, region, sample.visible)
+        yield sample, prepare(sample.image, sample.keypoints_xy, region, sample.visible)
 
 
 def rendered_frames(

@@ -314,7 +314,7 @@ class _Pretrainer:
         estimator = self.pair.average.estimator()
         ends = [KEYPOINTS.index(name) for name in ENDS]
         near = concatenated(
-            [estimator.refine(s.picture[None], f.xy[None], _geometry(f)) for s, f in self.judged]
+            [estimator.refine(s.image[None], f.xy[None], _geometry(f)) for s, f in self.judged]
         )
         truth = np.stack([np.where(s.visible[:, None], f.xy, np.nan) for s, f in self.judged])
         found = Detections(near.xy[:, ends], near.likelihood[:, ends], near.covariance[:, ends])
@@ -389,7 +389,7 @@ def _judge(network: Cascade, judged: list[tuple[Sample, PreparedFrame]]) -> tupl
     estimator = network.estimator()
     located, refined = [], []
     for sample, frame in judged:
-        picture, truth = sample.picture[None], frame.xy[None]
+        picture, truth = sample.image[None], frame.xy[None]
         seen = sample.visible
         xy = estimator.propose(picture, _geometry(frame)).xy
         length = np.linalg.norm(np.diff(frame.xy, axis=0), axis=1).sum()
@@ -404,6 +404,6 @@ def _found(network: Cascade, judged: list[tuple[Sample, PreparedFrame]]) -> tupl
     """What both networks together find in pictures, and which keypoints (N, K) can be seen."""
     estimator = network.estimator()
     found = concatenated(
-        [estimator.detect(sample.picture[None], _geometry(frame)) for sample, frame in judged]
+        [estimator.detect(sample.image[None], _geometry(frame)) for sample, frame in judged]
     )
     return found, np.stack([sample.visible for sample, _ in judged])

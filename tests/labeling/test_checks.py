@@ -13,8 +13,8 @@ from bendtrack.labeling.notes_file import write_notes
 from bendtrack.labeling.store import LabelStore, image_name
 from bendtrack.tracker.errors import LabelError
 from bendtrack.tracker.project import Project
-from bendtrack.tracker.synthetic.geometry import Midline
-from bendtrack.tracker.synthetic.sampling import random_look
+from bendtrack.tracker.synthetic.stream.chain import ENDS, Chain
+from bendtrack.tracker.synthetic.trial_looks import trial_look
 
 KEYPOINTS = ("base_1", "base_2", "tip_1", "tip_2")
 NOISE_PX = 1.0
@@ -22,10 +22,10 @@ NOISE_PX = 1.0
 
 def bend_xy(seed: int, frames: int = 30) -> np.ndarray:
     """(frames, 4, 2) px, exact points of an actuator that bends to 60, 120, 190 or 205 degrees in 640 x 480 px."""
-    look = random_look(seed, end_vector_px=(25.0, 40.0, 60.0)[seed % 3])
+    look = trial_look(seed, end_vector_px=(25.0, 40.0, 60.0)[seed % 3])
     angles = np.linspace(0, (60, 120, 190, 205)[seed % 4], frames)
-    lines = [Midline(look.body, look.pose, angle) for angle in angles]
-    return np.stack([line.point(np.array(look.body.keypoint_s), look.body.keypoint_t) for line in lines])
+    chains = [Chain(look.body, look.place, angle) for angle in angles]
+    return np.stack([chain.point(chain.keypoint_s[ENDS]) for chain in chains])
 
 
 def labelled(root: Path, xy: np.ndarray, video: str = "v", project: Project | None = None) -> Project:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -18,6 +19,7 @@ from bendtrack.labeling.pressure_signal import PressureSignal
 from bendtrack.labeling.selection import select_frames
 from bendtrack.labeling.stream_clustering import AppearanceClusters, BinnedClusters
 from bendtrack.labeling.video_scan import VideoScan, scan_video
+from bendtrack.tracker.synthetic.stream import TRAINING
 from bendtrack.tracker.synthetic.trial import Trial, render_trial
 from bendtrack.tracker.video import Video
 from bendtrack.tracker.video_writer import VideoWriter
@@ -39,6 +41,7 @@ def trials(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Trial]:
             size_wh=(200, 150),
             end_vector_px=14,
             angle_max_deg=60.0 if name == "small bend" else 200.0,
+            families=replace(TRAINING, materials=(name,)) if name == "dark rubber" else TRAINING,
             hysteresis_ratio=0.35 if name == "wide loop" else 0.2,
         )
         for name, seed in SEEDS.items()

@@ -11,7 +11,7 @@ from bendtrack.tracker.synthetic.stream import (
     HELD_OUT,
     KEYPOINTS,
     TRAINING,
-    Stage,
+    Renderer,
     before_other_background,
     draw,
     drawn_look,
@@ -47,7 +47,7 @@ def stark(look):
     surface = dc.replace(look.surface, colour=black, opacity=1.0, gloss=0.0, cavity=0.0)
     place = dc.replace(look.place, second_arm=None)
     scene = dc.replace(
-        look.scene, colour=white, texture=0.0, things=0, occluders=0, tube_px=0.0, clamp_colour=white
+        look.scene, colour=white, texture=0.0, distractors=0, occluders=0, tube_px=0.0, clamp_colour=white
     )
     light = dc.replace(
         look.light,
@@ -79,7 +79,7 @@ def clear(look):
 
 
 def darkness(sample):
-    return 1 - sample.picture.astype(np.float32).mean(axis=2) / sample.picture.max()
+    return 1 - sample.image.astype(np.float32).mean(axis=2) / sample.image.max()
 
 
 def along_line(image, centre, direction, reach):
@@ -93,7 +93,7 @@ def along_line(image, centre, direction, reach):
 @pytest.mark.parametrize("bend", [-50.0, 20.0, 150.0])
 def test_midline_is_the_middle_of_what_is_drawn(seed, bend):
     look = stark(drawn_look(seed, families=EVEN, bend_deg=(-50, 150), size_wh=(400, 300)))
-    sample = Stage(look).frame(bend)
+    sample = Renderer(look).frame(bend)
     image = darkness(sample)
     reach = 2.2 * look.body.half_px
     for index in range(12, 80, 6):
@@ -116,7 +116,7 @@ def test_midline_is_the_middle_of_what_is_drawn(seed, bend):
 @pytest.mark.parametrize("bend", [-50.0, 20.0, 110.0])
 def test_body_begins_at_base_1_and_ends_at_tip_2(seed, bend):
     look = stark(drawn_look(seed, families=EVEN, bend_deg=(-50, 110), size_wh=(400, 300)))
-    sample = Stage(look).frame(bend)
+    sample = Renderer(look).frame(bend)
     image, points = darkness(sample), sample.keypoints_xy
     for end, inside in ((8, 7), (0, 1)):
         outward = points[end] - points[inside]
@@ -138,7 +138,7 @@ def test_angle_is_that_of_the_two_vectors(drawn):
 @pytest.mark.parametrize("bend", [-60.0, 0.0, 33.0, 181.0, 270.0])
 def test_seen_from_the_front_the_angle_is_the_bend(bend):
     look = frontal(drawn_look(3, bend_deg=(-60, 270), size_wh=(200, 160)))
-    sample = Stage(look).frame(bend)
+    sample = Renderer(look).frame(bend)
     assert abs(sample.angle_deg - look.place.side * bend) < 1e-6
     first, last = (
         np.diff(sample.keypoints_xy[[0, 1]], axis=0)[0],
@@ -163,9 +163,9 @@ def test_keypoints_lie_on_the_midline_in_order(drawn):
 def test_the_lens_and_the_tilt_have_an_inverse(lens):
     projection = Projection(View(15.0, -11.0, 0.7, lens), (256, 192))
     plane = np.random.default_rng(0).uniform((20, 20), (230, 170), (50, 2))
-    seen = projection.picture(plane)
+    seen = projection.to_image(plane)
     assert np.abs(seen - plane).max() > 1
-    back = np.stack(projection.plane(*seen.T), axis=1)
+    back = np.stack(projection.to_plane(*seen.T), axis=1)
     np.testing.assert_allclose(back, plane, atol=1e-8)
 
 
@@ -174,12 +174,12 @@ def test_a_sample_depends_on_seed_and_index_alone():
     draw(5, 4)
     again = draw(5, 3)
     assert first.look == again.look
-    np.testing.assert_array_equal(first.picture, again.picture)
+    np.testing.assert_array_equal(first.image, again.image)
     np.testing.assert_array_equal(first.midline_xy, again.midline_xy)
     others = [draw(5, 4), draw(6, 3)]
     assert all(np.abs(first.keypoints_xy - other.keypoints_xy).max() > 3 for other in others)
-    assert first.picture.dtype == np.uint8
-    assert first.picture.shape == (256, 256, 3)
+    assert first.image.dtype == np.uint8
+    assert first.image.shape == (256, 256, 3)
 
 
 def test_families_never_mix():
@@ -204,12 +204,12 @@ def test_what_an_occluder_covers_is_not_visible():
         look = dc.replace(look, place=dc.replace(look.place, second_arm=None))
         look = dc.replace(look, sensor=clear(look))
         free, covered = (
-            Stage(dc.replace(look, scene=dc.replace(look.scene, occluders=count))).frame(40)
+            Renderer(dc.replace(look, scene=dc.replace(look.scene, occluders=count))).frame(40)
             for count in (0, 1)
         )
         if not free.visible.all():
             continue
-        change = np.abs(free.picture.astype(int) - covered.picture).max(axis=2)
+        change = np.abs(free.image.astype(int) - covered.image).max(axis=2)
         for point, visible in zip(covered.keypoints_xy, covered.visible, strict=True):
             x, y = np.round(point).astype(int)
             around = change[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2]
@@ -218,7 +218,7 @@ def test_what_an_occluder_covers_is_not_visible():
                 hidden += 1
             elif around.min() > 40:
                 # A thrown shadow darkens, but leaves the body to be seen; nothing bright appears.
-                before, after = free.picture[y, x].astype(int), covered.picture[y, x].astype(int)
+                before, after = free.image[y, x].astype(int), covered.image[y, x].astype(int)
                 assert (after <= before + 12).all(), (index, point)
     assert hidden > 8
 
@@ -244,7 +244,7 @@ def test_a_body_over_itself_hides_the_half_behind():
             surface=dc.replace(look.surface, cap_colour=(1.0, 0.1, 0.1)),
         )
         over, under = (
-            Stage(dc.replace(look, body=dc.replace(look.body, tip_over=tip_over))).frame(268)
+            Renderer(dc.replace(look, body=dc.replace(look.body, tip_over=tip_over))).frame(268)
             for tip_over in (True, False)
         )
         # Turned over, what lies before and what behind change places.
@@ -254,8 +254,8 @@ def test_a_body_over_itself_hides_the_half_behind():
         if over.visible[8] and not under.visible[8]:
             inside = over.keypoints_xy[8] + 0.1 * (over.keypoints_xy[7] - over.keypoints_xy[8])
             (x, y), (u, v) = np.round([inside, under.keypoints_xy[8]]).astype(int)
-            assert over.picture[y, x, 0] > 100
-            assert under.picture[v - 1 : v + 2, u - 1 : u + 2, 0].min() < 60
+            assert over.image[y, x, 0] > 100
+            assert under.image[v - 1 : v + 2, u - 1 : u + 2, 0].min() < 60
             seen += 1
     assert changed >= 3
     assert seen >= 1
@@ -265,11 +265,11 @@ def test_mirrored_and_enlarged_looks_keep_their_truth():
     look = frontal(drawn_look(4, families=EVEN, bend_deg=(90, 90), size_wh=(240, 200)))
     look = stark(dc.replace(look, body=dc.replace(look.body, base_share=0.1)))
     (x, y), place = look.place.base_xy, look.place
-    sample = Stage(look).frame(90)
+    sample = Renderer(look).frame(90)
     flipped = dc.replace(
         place, base_xy=(239 - x, y), direction_deg=180 - place.direction_deg, side=-place.side
     )
-    mirrored = Stage(dc.replace(look, place=flipped)).frame(90)
+    mirrored = Renderer(dc.replace(look, place=flipped)).frame(90)
     np.testing.assert_allclose(mirrored.keypoints_xy, (239, 0) + sample.keypoints_xy * (-1, 1), atol=1e-9)
     assert abs(mirrored.angle_deg + sample.angle_deg) < 1e-9
     body_there = np.abs(darkness(mirrored)[:, ::-1] - darkness(sample))
@@ -280,7 +280,7 @@ def test_mirrored_and_enlarged_looks_keep_their_truth():
         body=dc.replace(look.body, length_px=2 * look.body.length_px, half_px=2 * look.body.half_px),
         place=dc.replace(place, base_xy=(2 * x + 0.5, 2 * y + 0.5)),
     )
-    enlarged = Stage(double).frame(90)
+    enlarged = Renderer(double).frame(90)
     np.testing.assert_allclose(enlarged.keypoints_xy, 2 * sample.keypoints_xy + 0.5, atol=1e-9)
     small = cv2.resize(darkness(enlarged), (240, 200), interpolation=cv2.INTER_AREA)
     assert (np.abs(small - darkness(sample)) > 0.5).mean() < 0.002
@@ -288,34 +288,34 @@ def test_mirrored_and_enlarged_looks_keep_their_truth():
 
 def test_a_video_moves_the_tip_and_leaves_the_base():
     look = drawn_look(2, families=HELD_OUT, bend_deg=(0, 200), size_wh=(160, 120))
-    stage, bends = Stage(look), inflation_deg(look, 9)
+    renderer, bends = Renderer(look), inflation_deg(look, 9)
     assert bends[0] == bends[-1] == 0
     assert bends[4] == 200
-    samples = [stage.frame(bend, noise_seed=index) for index, bend in enumerate(bends)]
+    samples = [renderer.frame(bend, noise_seed=index) for index, bend in enumerate(bends)]
     base = np.array([sample.keypoints_xy[:2] for sample in samples])
     assert np.ptp(base, axis=0).max() < 1e-9
     assert np.hypot(*(samples[4].keypoints_xy[8] - samples[0].keypoints_xy[8])) > 0.5 * look.body.length_px
     angles = [abs(sample.angle_deg) for sample in samples]
     assert (np.diff(angles[:5]) > 0).all()
     # Same angle, other noise.
-    assert 0 < np.abs(samples[0].picture.astype(int) - samples[-1].picture).mean() < 25
-    np.testing.assert_array_equal(Stage(look).frame(bends[3], noise_seed=3).picture, samples[3].picture)
+    assert 0 < np.abs(samples[0].image.astype(int) - samples[-1].image).mean() < 25
+    np.testing.assert_array_equal(Renderer(look).frame(bends[3], noise_seed=3).image, samples[3].image)
 
 
 def test_exposure_drifts_during_a_film_up_and_down_and_moves_nothing():
     steady = stark(drawn_look(4, families=EVEN, bend_deg=(0, 90), size_wh=(200, 160)))
     grey = dc.replace(steady, scene=dc.replace(steady.scene, colour=(0.5, 0.5, 0.5)))
     drifting = dc.replace(grey, light=dc.replace(grey.light, drift=0.2))
-    stage, moments = Stage(drifting), np.linspace(0, 1, 40)
-    samples = [stage.frame(30.0, moment=float(moment)) for moment in moments]
-    bright = np.array([np.median(sample.picture) for sample in samples])
-    usual = float(np.median(Stage(grey).frame(30.0, moment=0.7).picture))
+    renderer, moments = Renderer(drifting), np.linspace(0, 1, 40)
+    samples = [renderer.frame(30.0, moment=float(moment)) for moment in moments]
+    bright = np.array([np.median(sample.image) for sample in samples])
+    usual = float(np.median(Renderer(grey).frame(30.0, moment=0.7).image))
     assert bright.max() > 1.1 * usual
     assert bright.min() < 0.9 * usual
     assert 0.79 * usual < bright.min()
     assert bright.max() < 1.21 * usual
     assert np.abs(np.diff(bright)).max() < 0.1 * usual  # not from frame to frame
-    assert np.median(stage.frame(30.0).picture) == usual  # a single picture is exposed as its look says
+    assert np.median(renderer.frame(30.0).image) == usual  # a single picture is exposed as its look says
     for sample in samples:
         np.testing.assert_array_equal(sample.keypoints_xy, samples[0].keypoints_xy)
 
@@ -329,7 +329,8 @@ def test_a_gripper_shows_two_arms_and_that_with_the_tip_nearer_the_middle_is_mea
             continue
         alone = stark(look)
         one, both, other = (
-            Stage(dc.replace(alone, place=place)).frame(40.0) for place in (alone.place, look.place, second)
+            Renderer(dc.replace(alone, place=place)).frame(40.0)
+            for place in (alone.place, look.place, second)
         )
         np.testing.assert_array_equal(both.keypoints_xy, one.keypoints_xy)
         dark = [darkness(sample) > 0.5 for sample in (one, both, other)]
@@ -351,7 +352,7 @@ def test_what_lies_over_the_body_does_not_move_with_it():
     changes = []
     for bend in (0, 160):
         free, covered = (
-            Stage(dc.replace(look, scene=dc.replace(look.scene, occluders=count))).frame(bend).picture
+            Renderer(dc.replace(look, scene=dc.replace(look.scene, occluders=count))).frame(bend).image
             for count in (0, 1)
         )
         changes.append(np.abs(free.astype(int) - covered).max(axis=2) > 40)
@@ -363,11 +364,11 @@ def test_what_lies_over_the_body_does_not_move_with_it():
 @pytest.mark.parametrize("change", [in_other_light, before_other_background])
 def test_other_light_and_background_leave_the_body_where_it_is(change):
     look = drawn_look(6, bend_deg=(0, 150), size_wh=(160, 120))
-    before, after = Stage(look).frame(75), Stage(change(look, 3)).frame(75)
+    before, after = Renderer(look).frame(75), Renderer(change(look, 3)).frame(75)
     np.testing.assert_array_equal(before.keypoints_xy, after.keypoints_xy)
     assert after.look.body == look.body
     assert after.look.surface == look.surface
-    assert np.abs(before.picture.astype(int) - after.picture).mean() > 5
+    assert np.abs(before.image.astype(int) - after.image).mean() > 5
 
 
 def test_bodies_are_of_the_sizes_that_were_asked_for(drawn):
@@ -402,9 +403,9 @@ def middle_of_the_dark(sample):
 )
 def test_what_the_camera_does_leaves_everything_where_it_is(does):
     look = stark(drawn_look(7, families=EVEN, bend_deg=(0, 90), size_wh=(400, 300)))
-    plain = Stage(look).frame(60.0)
-    worse = Stage(dc.replace(look, sensor=dc.replace(look.sensor, **does))).frame(60.0)
-    assert (plain.picture != worse.picture).any()
+    plain = Renderer(look).frame(60.0)
+    worse = Renderer(dc.replace(look, sensor=dc.replace(look.sensor, **does))).frame(60.0)
+    assert (plain.image != worse.image).any()
     assert np.linalg.norm(middle_of_the_dark(worse) - middle_of_the_dark(plain)) < 0.15
     np.testing.assert_array_equal(worse.keypoints_xy, plain.keypoints_xy)
 
@@ -412,10 +413,10 @@ def test_what_the_camera_does_leaves_everything_where_it_is(does):
 @pytest.mark.parametrize("kind", ["grey", "infrared"])
 def test_a_camera_without_colours_shows_none(kind):
     look = drawn_look(4, families=TRAINING)
-    seen = Stage(dc.replace(look, sensor=dc.replace(clear(look), kind=kind))).frame(60.0).picture
+    seen = Renderer(dc.replace(look, sensor=dc.replace(clear(look), kind=kind))).frame(60.0).image
     assert np.ptp(seen.astype(int), axis=2).max() == 0
     assert (
-        np.ptp(Stage(dc.replace(look, sensor=clear(look))).frame(60.0).picture.astype(int), axis=2).max() > 0
+        np.ptp(Renderer(dc.replace(look, sensor=clear(look))).frame(60.0).image.astype(int), axis=2).max() > 0
     )
 
 
@@ -440,8 +441,8 @@ def test_what_a_body_is_made_of_and_how_it_is_lit_is_seen_and_moves_no_keypoint(
     look = stark(drawn_look(4, families=EVEN, bend_deg=(0, 90), size_wh=(400, 300)))
     look = dc.replace(look, surface=dc.replace(look.surface, colour=(0.4, 0.4, 0.4)))
     other = dc.replace(look, **{part: dc.replace(getattr(look, part), **changed)})
-    plain, seen = Stage(look).frame(60.0), Stage(other).frame(60.0)
-    assert (np.abs(seen.picture.astype(int) - plain.picture).max(axis=2) > 8).mean() > 5e-4
+    plain, seen = Renderer(look).frame(60.0), Renderer(other).frame(60.0)
+    assert (np.abs(seen.image.astype(int) - plain.image).max(axis=2) > 8).mean() > 5e-4
     np.testing.assert_array_equal(seen.keypoints_xy, plain.keypoints_xy)
 
 
@@ -464,7 +465,7 @@ def test_a_stream_has_something_of_everything():
         "curvature nearly everywhere alike": lambda look: look.body.focus < 0.3,
         "a tube": lambda look: look.scene.tube_px > 0,
         "something in the way": lambda look: look.scene.occluders > 0,
-        "much lying about": lambda look: look.scene.things > 3,
+        "much lying about": lambda look: look.scene.distractors > 3,
         "hard shadow": lambda look: look.light.shadow > 0.2 and look.light.softness_px < 3,
         "soft shadow": lambda look: look.light.shadow > 0.2 and look.light.softness_px > 6,
         "a colour cast": lambda look: np.ptp(look.light.tint) > 0.1,

@@ -9,14 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bendtrack.tracker.synthetic.geometry import Midline
-from bendtrack.tracker.synthetic.render import Renderer
 from bendtrack.tracker.synthetic.response import HystereticResponse, triangle_kpa
-from bendtrack.tracker.synthetic.sampling import random_look
+from bendtrack.tracker.synthetic.stream import Renderer
+from bendtrack.tracker.synthetic.stream.chain import ENDS, Chain
 from bendtrack.tracker.synthetic.trial import labelled_sample, read_trial
+from bendtrack.tracker.synthetic.trial_looks import trial_look
 from bendtrack.tracker.video import Video
 
 SAMPLE = Path(__file__).parents[2] / "data_samples"
+SEED = 1892
 
 
 @pytest.fixture(scope="module")
@@ -29,8 +30,8 @@ def test_truth_follows_from_the_settings(trial):
     np.testing.assert_allclose(response.angle_deg(trial.pressure_kpa), trial.angle_deg, atol=0.01)
     body = trial.look.body
     for index in (0, 55, 100, 300, 600):
-        line = Midline(body, trial.look.pose, trial.angle_deg[index])
-        xy = line.point(np.array(body.keypoint_s), body.keypoint_t)
+        chain = Chain(body, trial.look.place, trial.angle_deg[index])
+        xy = chain.point(chain.keypoint_s[ENDS])
         np.testing.assert_allclose(xy, trial.xy[index], atol=1e-3)
 
 
@@ -47,10 +48,10 @@ def test_the_readme_names_the_command_that_made_it(trial):
     end_vector_px, labels = given.pop("end_vector_px"), given.pop("labels")
     assert (folder + ".mp4", labels) == (trial.video_path.name, 30)
     assert {name: settings[name] for name in given} == given
-    assert trial.look == random_look(386, end_vector_px=end_vector_px, angle_range_deg=(-20.0, 220.0))
+    assert trial.look == trial_look(SEED, end_vector_px=end_vector_px, angle_range_deg=(-20.0, 220.0))
 
     log = np.loadtxt(trial.pressure_path, delimiter=",", skiprows=1)
-    noise_kpa = settings["pressure_noise_kpa"] * np.random.default_rng([386, 12]).standard_normal(len(log))
+    noise_kpa = settings["pressure_noise_kpa"] * np.random.default_rng([SEED, 12]).standard_normal(len(log))
     np.testing.assert_allclose(log[:, 1], triangle_kpa(log[:, 0], 50.0, 0.15) + noise_kpa, atol=6e-4)
     with Video(trial.video_path) as video:
         shown = next(frame.image for frame in video if frame.index == 30)
@@ -67,7 +68,7 @@ def test_video_has_a_frame_for_every_row(trial):
 def test_labels_are_the_ones_the_readme_makes(trial):
     with (SAMPLE / "labels.csv").open(newline="") as file:
         rows = list(csv.reader(file))[3:]
-    frames, xy = labelled_sample(trial, count=30, noise_px=1.0, seed=386)
+    frames, xy = labelled_sample(trial, count=30, noise_px=1.0, seed=SEED)
     assert [row[2] for row in rows] == [f"img{frame:05d}.png" for frame in frames]
     written = np.array([row[3:] for row in rows], float).reshape(30, 4, 2)
     np.testing.assert_allclose(written, xy, atol=1e-3)

@@ -1,13 +1,16 @@
 import csv
+import dataclasses
+import inspect
 import json
 
 import numpy as np
 import pytest
 
+from bendtrack.tracker.cli.render_command import render
 from bendtrack.tracker.errors import BendtrackError
-from bendtrack.tracker.synthetic.render import Renderer
-from bendtrack.tracker.synthetic.sampling import random_look
+from bendtrack.tracker.synthetic.stream import TRAINING, Renderer
 from bendtrack.tracker.synthetic.trial import labelled_sample, read_trial, render_trial, write_labels
+from bendtrack.tracker.synthetic.trial_looks import trial_look
 from bendtrack.tracker.video import Video
 
 SMALL = {"size_wh": (320, 240), "end_vector_px": 25.0}
@@ -64,7 +67,7 @@ def test_angles_of_the_points_are_the_angles_of_the_table(trial):
     base, tip = trial.xy[:, 1] - trial.xy[:, 0], trial.xy[:, 3] - trial.xy[:, 2]
     turn = np.arctan2(
         base[:, 0] * tip[:, 1] - base[:, 1] * tip[:, 0], (base * tip).sum(axis=1)
-    ) * trial.look.pose.side  # fmt: skip
+    ) * trial.look.place.side  # fmt: skip
     np.testing.assert_allclose(np.degrees(np.unwrap(turn)), trial.angle_deg, atol=1e-6)
     assert trial.angle_deg.max() > 190
 
@@ -81,11 +84,11 @@ def test_video_shows_the_truth(trial):
     with Video(trial.video_path) as video:
         frames = {frame.index: frame.image.astype(float) for frame in video if frame.index in (10, 14)}
 
-    def picture(index):
+    def image(index):
         return renderer.frame(trial.angle_deg[index], trial.pressure_kpa[index] / 45.0).image.astype(float)
 
     for index in (10, 14):
-        distances = [np.abs(frames[index] - picture(other)).mean() for other in (index - 1, index, index + 1)]
+        distances = [np.abs(frames[index] - image(other)).mean() for other in (index - 1, index, index + 1)]
         assert np.argmin(distances) == 1
         assert distances[1] < 8
 
@@ -187,6 +190,23 @@ def test_wrong_settings_leave_nothing_behind(tmp_path):
 
 
 def test_a_look_can_be_given(tmp_path):
-    look = random_look(11, background="grid", **SMALL)
+    families = dataclasses.replace(TRAINING, backgrounds=("squared paper",))
+    look = trial_look(11, families=families, **SMALL)
     trial = render_trial(tmp_path, seed=0, look=look, frequency_hz=5.0, cycles=1)
     assert trial.look == look
+
+
+def test_the_words_of_a_look_can_be_chosen(tmp_path):
+    families = dataclasses.replace(TRAINING, materials=("dark rubber",), shapes=("bellows",))
+    trial = render_trial(tmp_path, seed=4, families=families, frequency_hz=5.0, cycles=1, **SMALL)
+    assert (trial.look.words.material, trial.look.words.shape) == ("dark rubber", "bellows")
+
+
+def test_the_command_has_the_defaults_of_the_function():
+    drawn = inspect.signature(render_trial).parameters
+    asked = inspect.signature(render).parameters
+    for name in asked.keys() & drawn.keys() - {"seed"}:
+        assert asked[name].default == drawn[name].default, name
+    width, height = drawn["size_wh"].default
+    assert asked["size"].default == f"{width}x{height}"
+    assert asked["noise_px"].default == inspect.signature(labelled_sample).parameters["noise_px"].default

@@ -12,8 +12,8 @@ from ..angle import AngleDefinition
 from ..results import AngleTable
 from ..types import Flag, FloatArray
 from .cycling import CyclingTrial
-from .looks import KEYPOINTS
 from .stairs import StaircaseTrial
+from .stream.chain import END_KEYPOINTS as KEYPOINTS
 
 FRAME_RATE = 30.0
 LOG_RATE_HZ = 400.0

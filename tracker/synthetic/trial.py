@@ -17,14 +17,19 @@ from ..atomic import atomic_write_text
 from ..errors import BendtrackError
 from ..types import FloatArray
 from ..video_writer import VideoWriter
-from .looks import KEYPOINTS, Camera, Look
-from .render import Renderer
 from .response import HystereticResponse, staircase_duration_s, staircase_kpa, triangle_kpa
-from .sampling import random_look
+from .stream.chain import END_KEYPOINTS as KEYPOINTS
+from .stream.chain import ENDS
+from .stream.families import TRAINING, Families
+from .stream.look import Look
+from .stream.renderer import Renderer
+from .trial_looks import trial_look
 
 WAVES = ("triangle", "staircase")
 PRESSURE_RATE_HZ = 400.0  # the study's log (paper, section on data acquisition)
 _PRESSURE_NOISE_KPA = 0.05
+# How long the shutter is open: moving parts are blurred by their way in that time.
+_EXPOSURE_S = 0.008
 
 
 @dataclass(frozen=True)
@@ -33,13 +38,20 @@ class Trial:
 
     Attributes
     ----------
-    folder : holds `video_path`, `pressure_path`, `truth_path` and `settings_path`
-    video_name : file name of the video
-    look : how it looks
-    keypoints : names, the order of `xy`
-    time_s, pressure_kpa, angle_deg : (T,) exact, one for every frame of the video
-    xy : (T, 4, 2) px, exact
-    hysteresis_ratio : of every cycle of a triangle wave
+    folder : Path
+        Holds `video_path`, `pressure_path`, `truth_path` and `settings_path`.
+    video_name : str
+        File name of the video.
+    look : Look
+        What the video shows.
+    keypoints : tuple of str
+        Names, in the order of `xy`.
+    time_s, pressure_kpa, angle_deg : ndarray
+        (T,), exact, one value for every frame of the video. The angle is positive toward `look.place.side`.
+    xy : ndarray
+        (T, 4, 2) px, exact.
+    hysteresis_ratio : float
+        Of every cycle of a triangle wave.
     """
 
     folder: Path
@@ -74,8 +86,8 @@ def render_trial(
     *,
     seed: int,
     wave: str = "triangle",
-    frequency_hz: float = 0.0625,
-    cycles: float = 12,
+    frequency_hz: float = 0.1,
+    cycles: float = 3,
     pressure_peak_kpa: float = 50.0,
     step_kpa: float = 5.0,
     hold_s: float = 3.0,
@@ -85,6 +97,7 @@ def render_trial(
     frame_rate: float = 30.0,
     size_wh: tuple[int, int] = (640, 480),
     end_vector_px: float = 40.0,
+    families: Families = TRAINING,
     look: Look | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Trial:
@@ -97,13 +110,39 @@ def render_trial(
 
     Parameters
     ----------
-    seed : draws the look, the noise and the flicker
-    wave : "triangle" (`cycles` at `frequency_hz`) or "staircase" (`step_kpa`, each level held for `hold_s`)
-    angle_min_deg, angle_max_deg : at zero and at the peak pressure
-    hysteresis_ratio : of a triangle's cycle, as the paper defines it (see `response`)
-    end_vector_px : distance between the two points of an end
-    look : instead of `random_look(seed)`; its size and end vectors are then taken
-    progress : called with frames done and frames in all
+    out_dir : str or Path
+        The folder; it is made if it does not exist.
+    seed : int
+        Draws the look and the noise.
+    wave : str
+        "triangle" (`cycles` at `frequency_hz`) or "staircase" (`step_kpa`, each level held for `hold_s`).
+    frequency_hz, cycles : float
+        Of the triangle. By default three cycles in 30 s, which take about half a minute to draw.
+    pressure_peak_kpa : float
+        The largest pressure.
+    step_kpa, hold_s : float
+        Of the staircase: height of a step, and how long each level is held.
+    angle_min_deg, angle_max_deg : float
+        Angle at zero and at the largest pressure.
+    hysteresis_ratio : float
+        Of a triangle's cycle, as the paper defines it (see `response`).
+    frame_rate : float
+        Frames per second.
+    size_wh : tuple of int
+        Size of the frames, px.
+    end_vector_px : float
+        Distance between the two points of an end.
+    families : Families
+        The words that the look is drawn from.
+    look : Look or None
+        Instead of a look drawn from the seed; its size and end vectors are then taken.
+    progress : callable or None
+        Called with the number of frames done and of frames in all.
+
+    Returns
+    -------
+    Trial
+        What was rendered.
 
     Raises
     ------
@@ -124,7 +163,9 @@ def render_trial(
     response = HystereticResponse(pressure_peak_kpa, angle_min_deg, angle_max_deg, hysteresis_ratio)
     if look is None:
         angles = (min(angle_min_deg, -20.0), max(angle_max_deg, 220.0))
-        look = random_look(seed, size_wh=size_wh, end_vector_px=end_vector_px, angle_range_deg=angles)
+        look = trial_look(
+            seed, size_wh=size_wh, end_vector_px=end_vector_px, angle_range_deg=angles, families=families
+        )
     if wave == "triangle":
         duration_s = cycles / frequency_hz
     else:
@@ -136,21 +177,26 @@ def render_trial(
         return staircase_kpa(time_s, pressure_peak_kpa, step_kpa, hold_s)
 
     time_s = np.arange(int(duration_s * frame_rate + 1e-6) + 1) / frame_rate
-    angle_deg, sweep_deg = _angles(response, pressure_at, time_s, look.camera.exposure_s)
+    angle_deg, sweep_deg = _angles(response, pressure_at, time_s, _EXPOSURE_S)
     pressure_kpa = pressure_at(time_s)
-    gain = exposure_gain(look.camera, time_s, np.random.default_rng([seed, 10]))
     folder = Path(out_dir)
     folder.mkdir(parents=True, exist_ok=True)
-    # A name that begins with a dot would be passed over wherever videos are listed.
+    # A name that begins with a dot would be skipped wherever videos are listed.
     video_name = f"{folder.resolve().name.lstrip('.') or 'trial'}.mp4"
-    renderer, rng = Renderer(look), np.random.default_rng([seed, 11])
+    renderer = Renderer(look)
     xy = np.empty((len(time_s), len(KEYPOINTS), 2))
     trial = Trial(folder, video_name, look, KEYPOINTS, time_s, pressure_kpa, angle_deg, xy, hysteresis_ratio)
     with VideoWriter(trial.video_path, look.size_wh, frame_rate) as writer:
         for index, angle in enumerate(angle_deg):
             relative = float(pressure_kpa[index] / pressure_peak_kpa)
-            frame = renderer.frame(angle, relative, sweep_deg=sweep_deg[index], gain=gain[index], rng=rng)
-            xy[index] = frame.xy
+            frame = renderer.frame(
+                float(angle),
+                relative,
+                noise_seed=seed * len(time_s) + index,
+                moment=index / len(time_s),
+                sweep_deg=float(sweep_deg[index]),
+            )
+            xy[index] = frame.keypoints_xy[ENDS]
             writer.write(frame.image, time_s[index])
             if progress is not None:
                 progress(index + 1, len(time_s))
@@ -171,6 +217,7 @@ def render_trial(
         "pressure_peak_kpa": pressure_peak_kpa,
         "pressure_rate_hz": PRESSURE_RATE_HZ,
         "pressure_noise_kpa": _PRESSURE_NOISE_KPA,
+        "exposure_s": _EXPOSURE_S,
         "angle_min_deg": angle_min_deg,
         "angle_max_deg": angle_max_deg,
         "hysteresis_ratio": hysteresis_ratio,
@@ -188,10 +235,23 @@ def labelled_sample(
 ) -> tuple[NDArray[np.intp], FloatArray]:
     """Frames spread evenly over the trial's angles, with labels as an unsteady hand would set them.
 
+    Parameters
+    ----------
+    trial : Trial
+        What is labelled.
+    count : int
+        Number of frames.
+    noise_px : float
+        Standard deviation of the labels' error in x and in y, px.
+    seed : int
+        Draws the frames and the noise.
+
     Returns
     -------
-    frames : (count,) frame indices, increasing. Take the pictures from the video, not from the renderer.
-    xy : (count, 4, 2) px, truth plus Gaussian noise of standard deviation `noise_px` in x and in y
+    frames : ndarray
+        (count,) frame indices, increasing. Take the images from the video, not from the renderer.
+    xy : ndarray
+        (count, 4, 2) px, truth plus Gaussian noise.
 
     Raises
     ------
@@ -221,7 +281,7 @@ def write_labels(
 ) -> None:
     """Write labels as DeepLabCut's table, images named labeled-data/<video stem>/imgNNNNN.png by frame index.
 
-    The pictures themselves are the decoded frames of the video; whoever imports the labels extracts them.
+    The images themselves are the decoded frames of the video; whoever imports the labels extracts them.
     """
     columns = [(keypoint, axis) for keypoint in trial.keypoints for axis in "xy"]
     text = io.StringIO()
@@ -263,18 +323,6 @@ def read_trial(folder: str | Path) -> Trial:
         raise BendtrackError(
             f"{folder}: expected a rendered trial (trial.json, truth.csv), got {error}"
         ) from error
-
-
-def exposure_gain(camera: Camera, time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Brightness of each frame, (T,), around 1: lamps flicker at 100 Hz, automatic exposure wanders."""
-    phases = rng.uniform(0, 2 * np.pi, 3)
-    # 100 Hz is not quite the mains' double: the flicker beats with the frame rate.
-    flicker = np.sin(2 * np.pi * 100.07 * time_s + phases[0])
-    drift = 0.6 * np.sin(2 * np.pi * time_s / 47 + phases[1]) + 0.4 * np.sin(
-        2 * np.pi * time_s / 19 + phases[2]
-    )
-    gain: FloatArray = 1 + camera.flicker * flicker + camera.drift * drift
-    return gain
 
 
 def _angles(

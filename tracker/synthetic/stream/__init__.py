@@ -1,8 +1,8 @@
 """An endless stream of rendered actuators with exact truth, every one another: what a network is pretrained on.
 
-    sample = draw(seed=1, index=0)          a picture, its midline, keypoints, visibility and angle
+    sample = draw(seed=1, index=0)          an image, its midline, keypoints, visibility and angle
     look = drawn_look(1, size_wh=(640, 480), families=HELD_OUT)
-    stage = Stage(look)                     one look, for a video
+    stage = Renderer(look)                     one look, for a video
     samples = [stage.frame(bend) for bend in inflation_deg(look, 100)]
 
 Words that looks are drawn from. The two columns never mix, in any of the four families: a look that is held out
@@ -19,11 +19,11 @@ has a material, a background, a shape and a clamp that pretraining has not seen.
 """
 
 from .chain import KEYPOINTS
-from .chance import before_other_background, drawn_look, in_other_light
 from .drawing import draw
 from .families import HELD_OUT, TRAINING, Families, Words
 from .look import Look
-from .stage import Sample, Stage, inflation_deg
+from .look_sampling import before_other_background, drawn_look, in_other_light
+from .renderer import Renderer, Sample, inflation_deg
 
 __all__ = [
     "HELD_OUT",
@@ -31,8 +31,8 @@ __all__ = [
     "TRAINING",
     "Families",
     "Look",
+    "Renderer",
     "Sample",
-    "Stage",
     "Words",
     "before_other_background",
     "draw",

@@ -7,11 +7,14 @@ import math
 import numpy as np
 
 from ...types import FloatArray
-from ..geometry import ArcChain
+from .arc_chain import ArcChain
 from .look import Body, Place, View
 
 SEGMENTS = 24
 KEYPOINTS = ("base_1", "base_2", "mid_1", "mid_2", "mid_3", "mid_4", "mid_5", "tip_1", "tip_2")
+# The two points of each end, and where they are among `KEYPOINTS`.
+END_KEYPOINTS = ("base_1", "base_2", "tip_1", "tip_2")
+ENDS = [KEYPOINTS.index(name) for name in END_KEYPOINTS]
 # Points of the dense midline.
 DENSE = 96
 # Middles of the arcs along the bend, and turns that add up to nothing, whose sizes add up to 1.
@@ -84,11 +87,11 @@ def opposite(place: Place) -> Place | None:
 
 
 class Projection:
-    """From the plane to the picture and back, both in closed form.
+    """From the plane to the image and back, both in closed form.
 
-    A plane tilted about the picture's axes, seen in perspective, then a lens after the division model of
+    A plane tilted about the image's axes, seen in perspective, then a lens after the division model of
     Fitzgibbon (CVPR 2001): undistorted = distorted / (1 + lens x distorted radius^2), lengths over the
-    picture's larger side, from its centre.
+    image's larger side, from its centre.
     """
 
     def __init__(self, view: View, size_wh: tuple[int, int]) -> None:
@@ -106,8 +109,8 @@ class Projection:
         )
         self._inverse = np.linalg.inv(self._matrix)
 
-    def picture(self, plane_xy: FloatArray) -> FloatArray:
-        """Position in the picture of points of the plane, (..., 2) px both."""
+    def to_image(self, plane_xy: FloatArray) -> FloatArray:
+        """Position in the image of points of the plane, (..., 2) px both."""
         p = (plane_xy - self._centre) / self._unit
         p = p @ self._matrix[:, :2].T + self._matrix[:, 2]
         p = p[..., :2] / p[..., 2:]
@@ -117,8 +120,8 @@ class Projection:
         result: FloatArray = p * self._unit + self._centre
         return result
 
-    def plane(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Points of the plane that are seen at points of the picture; keeps the dtype."""
+    def to_plane(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Points of the plane that are seen at points of the image; keeps the dtype."""
         unit, (cx, cy), m = self._unit, self._centre.tolist(), self._inverse.tolist()
         x, y = (x - cx) * (1 / unit), (y - cy) * (1 / unit)
         if self._lens:
@@ -128,7 +131,7 @@ class Projection:
         return (m[0][0] * x + m[0][1] * y + m[0][2]) * w + cx, (m[1][0] * x + m[1][1] * y + m[1][2]) * w + cy
 
 
-def turn_in_picture_deg(keypoints_xy: FloatArray, midline_xy: FloatArray) -> float:
+def turn_in_image_deg(keypoints_xy: FloatArray, midline_xy: FloatArray) -> float:
     """Turn from base_2 - base_1 to tip_2 - tip_1, clockwise on the screen positive, whole turns from the midline."""
     step = np.diff(midline_xy, axis=0)
     x, y, next_x, next_y = step[:-1, 0], step[:-1, 1], step[1:, 0], step[1:, 1]

@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 
 from ...types import FloatArray, ImageArray
+from .distractors import SKIN, Painter
 from .look import Colour
 from .paint import capsule, fixed, strokes, tone
-from .things import SKIN, Painter
 
-# From (s, t) about the base, in thicknesses of the body there, to the picture: (N, 2) -> (N, 2) px.
+# From (s, t) about the base, in thicknesses of the body there, to the image: (N, 2) -> (N, 2) px.
 Local = Callable[[FloatArray], FloatArray]
 
 
@@ -29,42 +29,50 @@ def reach(word: str) -> float:
     return {"fingers": 0.4, "clip": 0.9, "pipe": 1.6}.get(word, 1.3)
 
 
+def extent(word: str) -> tuple[float, float]:
+    """How far it can extend behind its face and to each side of the midline, in thicknesses.
+
+    Only what holds the body: a stand's rod and an arm reach farther.
+    """
+    return {"vice": (1.5, 4.1), "clip": (2.4, 1.7), "block": (2.2, 1.7)}.get(word, (2.3, 1.2))
+
+
 def _box(s0: float, s1: float, t0: float, t1: float) -> FloatArray:
     return np.array([[s0, t0], [s1, t0], [s1, t1], [s0, t1]])
 
 
-def _line(picture: ImageArray, points: FloatArray, colour: Colour, factor: float, width: int = 1) -> None:
-    cv2.polylines(picture, [fixed(points)], False, tone(colour, factor), width, cv2.LINE_AA, 4)
+def _line(image: ImageArray, points: FloatArray, colour: Colour, factor: float, width: int = 1) -> None:
+    cv2.polylines(image, [fixed(points)], False, tone(colour, factor), width, cv2.LINE_AA, 4)
 
 
-def _screw(picture: ImageArray, centre: FloatArray, radius_px: float) -> None:
+def _screw(image: ImageArray, centre: FloatArray, radius_px: float) -> None:
     for share, level in ((1.0, 0.22), (0.85, 0.62), (0.4, 0.12)):
         radius = int(max(radius_px * share, 0.6) * 16)
         cv2.circle(
-            picture, tuple(fixed(centre)), radius, tone((level, level, level * 1.03)), -1, cv2.LINE_AA, 4
+            image, tuple(fixed(centre)), radius, tone((level, level, level * 1.03)), -1, cv2.LINE_AA, 4
         )
 
 
 def _block(colour: Colour, local: Local, thick: float, painter: Painter) -> None:
-    picture, rng = painter.picture, painter.rng
+    image, rng = painter.image, painter.rng
     back, low, high = -rng.uniform(0.8, 2.2), -rng.uniform(0.6, 1.6), rng.uniform(0.6, 1.6)
     painter.fill(local(_box(back, 0, low, high)), colour, ramp=0.25)
     bevel = rng.uniform(1.1, 1.6)
     _line(
-        picture,
+        image,
         local(np.array([[back, low], [-0.04, low], [-0.04, high]])),
         colour,
         bevel,
         max(1, round(0.06 * thick)),
     )
     if rng.random() < 0.5:
-        _line(picture, local(np.array([[back, 0.05], [0, 0.05]])), colour, 0.45)
+        _line(image, local(np.array([[back, 0.05], [0, 0.05]])), colour, 0.45)
     for t in (0.75 * low, 0.75 * high) if rng.random() < 0.7 else ():
-        _screw(picture, local(np.array([[0.5 * back, t]]))[0], 0.13 * thick + 0.8)
+        _screw(image, local(np.array([[0.5 * back, t]]))[0], 0.13 * thick + 0.8)
 
 
 def _vice(colour: Colour, local: Local, thick: float, painter: Painter) -> None:
-    picture, rng = painter.picture, painter.rng
+    image, rng = painter.image, painter.rng
     back, gap, deep = -rng.uniform(0.7, 1.5), rng.uniform(0.02, 0.2), rng.uniform(1.0, 2.4)
     painter.fill(local(_box(back, -0.06, -0.5, 0.5)), (0.10, 0.10, 0.11))
     for sign in (-1, 1):
@@ -73,14 +81,14 @@ def _vice(colour: Colour, local: Local, thick: float, painter: Painter) -> None:
         lines = np.stack(
             [np.stack([teeth, teeth], 1), np.broadcast_to([sign * gap, sign * (gap + 0.18)], (7, 2))], axis=2
         )
-        strokes(picture, local(lines.reshape(-1, 2)).reshape(-1, 2, 2), tuple(0.5 * c for c in colour))  # type: ignore[arg-type]
-        _line(picture, local(_box(back, -0.03, sign * gap, sign * deep)[[0, 1, 2]]), colour, 1.4)
+        strokes(image, local(lines.reshape(-1, 2)).reshape(-1, 2, 2), tuple(0.5 * c for c in colour))  # type: ignore[arg-type]
+        _line(image, local(_box(back, -0.03, sign * gap, sign * deep)[[0, 1, 2]]), colour, 1.4)
     screw = local(np.array([[0.5 * back, deep], [0.5 * back, deep + rng.uniform(0.6, 1.6)]]))
-    _line(picture, screw, (0.5, 0.5, 0.52), 1.0, max(2, round(0.3 * thick)))
+    _line(image, screw, (0.5, 0.5, 0.52), 1.0, max(2, round(0.3 * thick)))
 
 
 def _printed(colour: Colour, local: Local, thick: float, painter: Painter) -> None:
-    picture, rng = painter.picture, painter.rng
+    image, rng = painter.image, painter.rng
     back, wide, neck = -rng.uniform(1.0, 2.2), rng.uniform(0.65, 1.1), rng.uniform(0.55, 1.0)
     lip = [[-0.5, wide], [-0.35, neck], [0, neck]]
     outline = np.array([[back, -wide], *([s, -t] for s, t in lip), *lip[::-1], [back, wide]])
@@ -90,22 +98,22 @@ def _printed(colour: Colour, local: Local, thick: float, painter: Painter) -> No
     lines = np.stack(
         [np.stack([layers, layers], 1), np.broadcast_to([-side, side], (len(layers), 2))], axis=2
     )
-    strokes(picture, local(lines.reshape(-1, 2)).reshape(-1, 2, 2), tuple(0.9 * c for c in colour))  # type: ignore[arg-type]
-    _line(picture, local(outline[[2, 3, 4, 5]] - (0.03, 0)), colour, 1.3)
+    strokes(image, local(lines.reshape(-1, 2)).reshape(-1, 2, 2), tuple(0.9 * c for c in colour))  # type: ignore[arg-type]
+    _line(image, local(outline[[2, 3, 4, 5]] - (0.03, 0)), colour, 1.3)
     if rng.random() < 0.6:
-        _screw(picture, local(np.array([[0.6 * back, 0.0]]))[0], 0.16 * thick + 0.8)
+        _screw(image, local(np.array([[0.6 * back, 0.0]]))[0], 0.16 * thick + 0.8)
 
 
 def _clip(colour: Colour, local: Local, thick: float, painter: Painter) -> None:
-    picture, rng = painter.picture, painter.rng
+    image, rng = painter.image, painter.rng
     wide, deep, narrow = rng.uniform(0.8, 1.6), -rng.uniform(0.7, 1.1), rng.uniform(0.5, 0.9)
     outline = np.array([[0, -wide], [0, wide], [deep, narrow * wide], [deep, -narrow * wide]])
     painter.fill(local(outline), colour, ramp=0.35)
-    _line(picture, local(outline[:2] - (0.1, 0)), colour, 1.8, max(1, round(0.10 * thick)))
-    _line(picture, local(outline[2:]), colour, 1.3)
+    _line(image, local(outline[:2] - (0.1, 0)), colour, 1.8, max(1, round(0.10 * thick)))
+    _line(image, local(outline[2:]), colour, 1.3)
     arc = np.linspace(-np.pi / 2, np.pi / 2, 14)
     loop = np.stack([deep - rng.uniform(0.6, 1.2) * np.cos(arc), 0.4 * wide * np.sin(arc)], axis=1)
-    _line(picture, local(loop), (0.66, 0.66, 0.68), 1.0, max(1, round(0.12 * thick)))
+    _line(image, local(loop), (0.66, 0.66, 0.68), 1.0, max(1, round(0.12 * thick)))
 
 
 def _fingers(colour: Colour, local: Local, thick: float, painter: Painter) -> None:
@@ -133,7 +141,7 @@ def _fingers(colour: Colour, local: Local, thick: float, painter: Painter) -> No
         capsule(thumb - 0.05 * along * radius, thumb + 0.4 * along * radius, 0.45 * radius, 0.45 * radius)
     )
     light: Colour = tuple(min(1.0, 1.06 * c + 0.04) for c in skin)  # type: ignore[assignment]
-    cv2.fillPoly(painter.picture, [fixed(nail)], tone(light), cv2.LINE_AA, 4)
+    cv2.fillPoly(painter.image, [fixed(nail)], tone(light), cv2.LINE_AA, 4)
 
 
 def _pipe(colour: Colour, local: Local, thick: float, painter: Painter) -> None:
@@ -149,7 +157,7 @@ def _pipe(colour: Colour, local: Local, thick: float, painter: Painter) -> None:
 
 def _boss(colour: Colour, local: Local, thick: float, painter: Painter) -> None:
     """A stand's rod runs across behind a boss head; the jaw's face is s = 0."""
-    picture, rng = painter.picture, painter.rng
+    image, rng = painter.image, painter.rng
     far = rng.uniform(1.3, 1.9)
     rod = local(np.array([[-far, -14.0], [-far, 14.0]]))
     painter.hose(rod, (0.70, 0.71, 0.72), max(2.0, 0.4 * thick))
@@ -157,5 +165,5 @@ def _boss(colour: Colour, local: Local, thick: float, painter: Painter) -> None:
     head = np.stack([-far + 0.75 * np.cos(ring), 0.85 * np.sin(ring)], axis=1)
     painter.fill(local(head), colour, ramp=0.3, rounding_px=0.15 * thick)
     painter.fill(local(_box(-far + 0.3, 0, -0.62, 0.62)), colour, ramp=0.25)
-    _line(picture, local(_box(-far + 0.3, -0.03, -0.62, 0.62)), colour, 1.35)
-    _screw(picture, local(np.array([[-far, 0.0]]))[0], 0.28 * thick + 0.8)
+    _line(image, local(_box(-far + 0.3, -0.03, -0.62, 0.62)), colour, 1.35)
+    _screw(image, local(np.array([[-far, 0.0]]))[0], 0.28 * thick + 0.8)

@@ -1,4 +1,4 @@
-"""What coding, and the way from the camera at a smaller size, take from a picture."""
+"""What coding, and the way from the camera at a smaller size, take from an image."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _H264 = {"preset": "ultrafast", "tune": "zerolatency"}
 
 
 def coded(image: ImageArray, sensor: Sensor) -> ImageArray:
-    """The picture as it comes out of the camera's stream."""
+    """The image as it comes out of the camera's stream."""
     height, width = image.shape[:2]
     if sensor.shrink > 1:
         small = (round(width / sensor.shrink), round(height / sensor.shrink))

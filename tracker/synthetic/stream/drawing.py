@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from .chance import drawn_look
-from .dice import Dice
+from .camera_sampling import as_of_a_film
 from .families import TRAINING, Families
-from .filming import as_of_a_film
-from .stage import Sample, Stage
+from .look_sampling import drawn_look
+from .renderer import Renderer, Sample
+from .rng import Rng
 
 # Bends are drawn evenly from here to there, but as often as this near the straight rest.
 BEND_DEG = (-60.0, 270.0)
 _NEAR_REST = 0.15
-# One body in so many reaches out of the picture.
+# One body in so many reaches out of the image.
 _PARTLY_OUT = 0.15
-# And one picture in so many is of a film in H.264: looks know nothing of it, for their films are coded when written.
+# And one image in so many is of a film in H.264: looks know nothing of it, for their films are coded when written.
 _OF_A_FILM = 0.12
 
 
@@ -31,24 +31,24 @@ def draw(
     ----------
     seed : of the stream
     index : number of the sample in it
-    size_wh : of the picture, px
+    size_wh : of the image, px
     families : the words that it may be drawn from: `TRAINING` or `HELD_OUT`
 
     Examples
     --------
     >>> sample = draw(seed=1, index=0)
-    >>> sample.picture.shape, sample.keypoints_xy.shape
+    >>> sample.image.shape, sample.keypoints_xy.shape
     ((256, 256, 3), (9, 2))
     """
-    dice = Dice(seed, index, 6)
-    bend = dice.about(0, 12) if dice.maybe(_NEAR_REST) else dice.between(*BEND_DEG)
-    if dice.maybe(0.5):
-        bend = min(bend, dice.between(0, BEND_DEG[1]))
-    pressure = min(max(bend / dice.between(90, 250), 0.0), 1.0) * dice.between(0.5, 1.0)
+    rng = Rng(seed, index, 6)
+    bend = rng.normal(0, 12) if rng.bernoulli(_NEAR_REST) else rng.uniform(*BEND_DEG)
+    if rng.bernoulli(0.5):
+        bend = min(bend, rng.uniform(0, BEND_DEG[1]))
+    pressure = min(max(bend / rng.uniform(90, 250), 0.0), 1.0) * rng.uniform(0.5, 1.0)
     look = drawn_look(
         seed, index, size_wh=size_wh, families=families, bend_deg=(bend, bend), partly_out=_PARTLY_OUT
     )
-    film = dice.apart(1)
-    if film.maybe(_OF_A_FILM):
+    film = rng.spawn(1)
+    if film.bernoulli(_OF_A_FILM):
         look = replace(look, sensor=as_of_a_film(look.sensor, film))
-    return Stage(look).frame(bend, pressure)
+    return Renderer(look).frame(bend, pressure)

@@ -1,4 +1,4 @@
-"""From the lit scene to the picture that the camera hands over. Moves nothing."""
+"""From the lit scene to the image that the camera hands over. Moves nothing."""
 
 from __future__ import annotations
 
@@ -25,27 +25,25 @@ def light_map(light: Light, size_wh: tuple[int, int]) -> FloatArray:
     return np.asarray(cv2.resize(coarse, size_wh, interpolation=cv2.INTER_LINEAR), np.float32)
 
 
-def taken(
-    picture: ImageArray, lit: FloatArray, light: Light, sensor: Sensor, rng: np.random.Generator
+def expose(
+    image: ImageArray, lit: FloatArray, light: Light, sensor: Sensor, rng: np.random.Generator
 ) -> ImageArray:
     """Expose, blur, add noise and code.
 
     Parameters
     ----------
-    picture : RGB uint8 (H, W, 3)
+    image : RGB uint8 (H, W, 3)
     lit : `light_map`
     rng : of the noise
     """
-    height, width = picture.shape[:2]
+    height, width = image.shape[:2]
     if sensor.blur_px > 0.3:
-        picture = cv2.GaussianBlur(picture, (0, 0), sensor.blur_px)
+        image = cv2.GaussianBlur(image, (0, 0), sensor.blur_px)
     if sensor.motion_px > 1:
-        picture = cv2.filter2D(picture, -1, _streak(sensor.motion_px, sensor.motion_deg))
+        image = cv2.filter2D(image, -1, _streak(sensor.motion_px, sensor.motion_deg))
     if sensor.sharpening:
-        picture = cv2.addWeighted(
-            picture, 1 + sensor.sharpening, cv2.blur(picture, (3, 3)), -sensor.sharpening, 0
-        )
-    exposed = cv2.multiply(picture, lit, dtype=cv2.CV_32F)
+        image = cv2.addWeighted(image, 1 + sensor.sharpening, cv2.blur(image, (3, 3)), -sensor.sharpening, 0)
+    exposed = cv2.multiply(image, lit, dtype=cv2.CV_32F)
     if sensor.kind != "colour":
         # Silicone is bright in infrared light, and the red channel comes nearest to that.
         weights = (0.30, 0.59, 0.11) if sensor.kind == "grey" else (0.75, 0.2, 0.05)
@@ -53,7 +51,7 @@ def taken(
     noise = sensor_noise(rng, (height, width), sensor.noise_cell)
     if sensor.kind != "colour":
         noise = cv2.cvtColor(np.ascontiguousarray(noise[..., 1]), cv2.COLOR_GRAY2RGB)
-    image: ImageArray = cv2.addWeighted(exposed, light.gain, noise, sensor.noise, 0.0, dtype=cv2.CV_8U)
+    image = cv2.addWeighted(exposed, light.gain, noise, sensor.noise, 0.0, dtype=cv2.CV_8U)
     if light.gamma != 1:
         curve = 255 * np.power(np.arange(256) / 255, light.gamma)
         image = cv2.LUT(image, np.round(curve).astype(np.uint8))

@@ -2,13 +2,15 @@
 
 Body coordinates: s runs along the midline from where the body leaves the clamp, in px; v across it in half
 thicknesses, outward (away from the side to which the body bends under pressure) positive, so that the body
-at rest reaches from v = -1 to v = 1. The *plane* is where the body lies: px of the picture as it would be
-without tilt and lens. By chance a look is drawn in `chance.py`.
+at rest reaches from v = -1 to v = 1. The *plane* is where the body lies: px of the image as it would be
+without tilt and lens. Looks are sampled at random in `look_sampling.py`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from .families import Families, Words
 
@@ -112,7 +114,7 @@ class Place:
 
 @dataclass(frozen=True)
 class View:
-    """From the plane to the picture: tilt about the picture's axes, nearness (0: from afar), lens."""
+    """From the plane to the image: tilt about the image's axes, nearness (0: from afar), lens."""
 
     tilt_x_deg: float
     tilt_y_deg: float
@@ -127,7 +129,7 @@ class Scene:
     Attributes
     ----------
     colour, ink, pitch_px, turn_deg, texture : of the background, where it has such
-    things, occluders : how many lie about, and how many in front of the body
+    distractors, occluders : how many objects lie about, and how many in front of the body
     clamp_colour, clamp_seed : of the clamp
     tube_colour, tube_px : of the supply tube; 0 px for none
     """
@@ -138,7 +140,7 @@ class Scene:
     pitch_px: float
     turn_deg: float
     texture: float
-    things: int
+    distractors: int
     occluders: int
     clamp_colour: Colour
     clamp_seed: int
@@ -150,7 +152,7 @@ class Scene:
 class Light:
     """A key light over ambient light. `azimuth_deg`: where it comes from, from +x toward +y.
 
-    `gradient` : relative fall of the light across the picture; `vignette` : toward its corners.
+    `gradient` : relative fall of the light across the image; `vignette` : toward its corners.
     `shadow`, `shadow_px`, `softness_px` : depth, offset and blur of the body's shadow.
     `gain`, `gamma` : exposure; 1 is right. `drift` : by how much of it the exposure wanders up and down during a film.
     """
@@ -171,7 +173,7 @@ class Light:
 
 @dataclass(frozen=True)
 class Sensor:
-    """What the camera does to the picture.
+    """What the camera does to the image.
 
     `kind` : "colour", "grey" or "infrared". Blur in px (Gaussian sigma; length and direction of a movement),
     noise in grey levels, `jpeg_quality` and `h264_crf` 0 for none, of which at most one codes, `shrink` the factor of a
@@ -193,11 +195,11 @@ class Sensor:
 
 @dataclass(frozen=True)
 class Look:
-    """Everything that stays the same within a video. The same look draws the same picture.
+    """Everything that stays the same within a video. The same look draws the same image.
 
     Attributes
     ----------
-    size_wh : of the picture, px
+    size_wh : of the image, px
     families : that it was drawn from
     words : what it shows
     bend_deg : the range that it can be drawn at, toward the side to which it bends under pressure
@@ -214,3 +216,38 @@ class Look:
     scene: Scene
     light: Light
     sensor: Sensor
+
+    @classmethod
+    def from_dict(cls, settings: Mapping[str, Any]) -> Look:
+        """Rebuild the look that `dataclasses.asdict` took apart, also from JSON.
+
+        Raises
+        ------
+        KeyError, TypeError
+            The settings are not those of a look.
+        """
+        fields = {
+            name: _PARTS[name](**_tuples(value)) if name in _PARTS else _tuples(value)
+            for name, value in settings.items()
+        }
+        return cls(**fields)
+
+
+_PARTS: dict[str, Any] = {
+    "families": Families,
+    "words": Words,
+    "body": Body,
+    "surface": Surface,
+    "place": Place,
+    "view": View,
+    "scene": Scene,
+    "light": Light,
+    "sensor": Sensor,
+}
+
+
+def _tuples(value: Any) -> Any:
+    """JSON knows no tuples; a look has no lists."""
+    if isinstance(value, Mapping):
+        return {name: _tuples(item) for name, item in value.items()}
+    return tuple(_tuples(item) for item in value) if isinstance(value, list) else value

@@ -8,9 +8,17 @@ import cv2
 import numpy as np
 
 from ...types import FloatArray
-from ..skin import smooth_noise
 
 _SIDE = 640
+
+
+def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], cell_px: float) -> FloatArray:
+    """Random field of about unit variance that varies over `cell_px`, float32."""
+    height, width = shape
+    rows, columns = max(2, round(height / cell_px) + 2), max(2, round(width / cell_px) + 2)
+    coarse = rng.standard_normal((rows, columns), dtype=np.float32)
+    field: FloatArray = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC) * 1.3
+    return field
 
 
 @lru_cache(maxsize=12)
@@ -23,7 +31,7 @@ def _pool(cell_px: float) -> FloatArray:
     return np.asarray(field / field.std(), np.float32)
 
 
-def cut(rng: np.random.Generator, shape: tuple[int, int], cell_px: float = 1.0) -> FloatArray:
+def noise_field(rng: np.random.Generator, shape: tuple[int, int], cell_px: float = 1.0) -> FloatArray:
     """Field of about unit variance that varies over `cell_px`, (h, w) float32; read it only."""
     pool = _pool(float(cell_px))
     rows, columns = shape

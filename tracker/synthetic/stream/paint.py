@@ -1,4 +1,4 @@
-"""Shapes painted into a picture: outlines, and fills with a little light and shadow on them."""
+"""Shapes painted into an image: outlines, and fills with a little light and shadow on them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from ...types import FloatArray, ImageArray
 from .look import Colour
-from .noise import cut
+from .noise import noise_field
 
 
 @dataclass(frozen=True)
@@ -64,14 +64,14 @@ def curve(knots: FloatArray, count: int = 60) -> FloatArray:
     return np.asarray(line, float)
 
 
-def strokes(picture: ImageArray, lines: FloatArray, colour: Colour, width: int = 1) -> None:
+def strokes(image: ImageArray, lines: FloatArray, colour: Colour, width: int = 1) -> None:
     """Straight lines, (N, 2, 2), all at once."""
     if len(lines):
-        cv2.polylines(picture, list(fixed(lines)), False, tone(colour), width, cv2.LINE_AA, 4)
+        cv2.polylines(image, list(fixed(lines)), False, tone(colour), width, cv2.LINE_AA, 4)
 
 
 def solid(
-    picture: ImageArray,
+    image: ImageArray,
     outline: FloatArray | list[FloatArray],
     colour: Colour,
     rng: np.random.Generator,
@@ -89,7 +89,7 @@ def solid(
     rounding_px : its rim is darker this far inward
     cover : (H, W) uint8, gets what is covered by it
     """
-    height, width = picture.shape[:2]
+    height, width = image.shape[:2]
     spread = 3 * shade.softness_px + max(map(abs, shade.offset_xy)) if shade else 0.0
     outlines = outline if isinstance(outline, list) else [outline]
     points = np.concatenate(outlines)
@@ -99,7 +99,7 @@ def solid(
         return
     within = np.s_[low[1] : high[1], low[0] : high[0]]
     shape = (int(high[1] - low[1]), int(high[0] - low[0]))
-    part = picture[within]
+    part = image[within]
     if shade:
         dark = np.zeros(shape, np.uint8)
         for each in outlines:
@@ -126,7 +126,7 @@ def solid(
         return
     corners = (1 + ramp * (rng.random((2, 2), dtype=np.float32) * 2 - 1)).astype(np.float32)
     level = cv2.resize(corners, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR)
-    level = level + np.float32(0.012) * cut(rng, shape, 1.0)
+    level = level + np.float32(0.012) * noise_field(rng, shape, 1.0)
     if rounding_px:
         inner = _soft(mask, rounding_px)
         level *= np.float32(0.40) + np.float32(0.62) * inner

@@ -1,31 +1,14 @@
-"""Where the body is: a midline of circular arcs, mapped both ways and exactly.
+"""A chain of circular arcs, mapped from body coordinates to the plane and back, in closed form.
 
-The strain-limiting line is a straight base, `SEGMENTS` arcs of equal length whose turns add up to the bending
-angle, and a straight tip. All truth of a rendered picture comes from here, in closed form.
+All truth of a rendered image starts here. Bodies, keypoints and the camera are in `chain.py`.
 """
 
 from __future__ import annotations
 
-import math
-from functools import lru_cache
-
 import numpy as np
 from numpy.typing import NDArray
 
-from ..types import FloatArray
-from .looks import Body, Pose
-
-SEGMENTS = 24
-# Body this far before the clamp's face is drawn under the clamp.
-HIDDEN_PX = 14.0
-
-
-@lru_cache(maxsize=256)
-def _turn_shares(peak: float, tilt: float) -> FloatArray:
-    """Share of the whole turn that each arc takes; adds up to 1."""
-    u = (np.arange(SEGMENTS) + 0.5) / SEGMENTS
-    weight = 1.0 + peak * np.cos(2 * np.pi * u) + tilt * np.cos(np.pi * u)
-    return np.maximum(weight, 0.05) / np.maximum(weight, 0.05).sum()
+from ...types import FloatArray
 
 
 class ArcChain:
@@ -96,10 +79,6 @@ class ArcChain:
         result: FloatArray = on_line + t[..., None] * outward
         return result
 
-    def piece_of(self, s: float) -> int:
-        """Index of the piece that holds s."""
-        return int(np.clip(np.searchsorted(self.s, s, side="right") - 1, 0, len(self.s) - 1))
-
     def body_coordinates(
         self, x: FloatArray, y: FloatArray, piece: NDArray[np.intp]
     ) -> tuple[FloatArray, FloatArray]:
@@ -128,31 +107,3 @@ class ArcChain:
         q = k * (along * along + inward * inward) - 2 * inward
         t = q / (1 + np.sqrt(np.maximum(1 + k * q, 0)))
         return s, t
-
-
-class Midline(ArcChain):
-    """The strain-limiting line at one bending angle, in image px: a straight base, `SEGMENTS` arcs, a straight tip.
-
-    Parameters
-    ----------
-    body, pose : shape and place
-    angle_deg : turn from the base's direction to the tip's, positive toward `pose.side`
-    """
-
-    def __init__(self, body: Body, pose: Pose, angle_deg: float) -> None:
-        start, end = body.bend_s
-        whole = math.radians(angle_deg)
-        super().__init__(
-            start,
-            (end - start) / SEGMENTS,
-            whole * _turn_shares(body.curvature_peak, body.curvature_tilt),
-            whole,
-            pose.base_xy,
-            math.radians(pose.direction_deg),
-            pose.side,
-        )
-
-
-def body_to_image(body: Body, pose: Pose, angle_deg: float) -> FloatArray:
-    """The four keypoints, (4, 2) px, in the order of `looks.KEYPOINTS`."""
-    return Midline(body, pose, angle_deg).point(np.array(body.keypoint_s), body.keypoint_t)

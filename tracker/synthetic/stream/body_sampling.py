@@ -1,11 +1,13 @@
-"""How bodies and their surfaces are drawn by chance, by the words of `families`."""
+"""Bodies and their surfaces sampled at random, by the words of `families`.
+
+How large a body is and where it lies is decided in `look_sampling.py`."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .dice import Dice
 from .look import Body, Colour, Surface
+from .rng import Rng
 
 Range = tuple[float, float]
 
@@ -81,59 +83,59 @@ _SHAPES = {
 }
 
 
-def drawn_body(word: str, dice: Dice, bend_deg: Range) -> Body:
-    """A body of length 1; `chance` makes it as large as the picture wants it."""
+def drawn_body(word: str, rng: Rng, bend_deg: Range) -> Body:
+    """A body of length 1; `look_sampling` scales it to the image."""
     shape = _SHAPES[word]
-    aspect = dice.steeply(*shape.aspect)
-    windings = dice.whole(*shape.windings)
+    aspect = rng.log_uniform(*shape.aspect)
+    windings = rng.integer(*shape.windings)
     largest = max(map(abs, bend_deg))
-    evenly = dice.maybe(0.45)
+    evenly = rng.bernoulli(0.45)
     return Body(
-        seed=dice.seed(),
+        seed=rng.seed(),
         length_px=1.0,
-        stretch=dice.between(0, 1),
+        stretch=rng.uniform(0, 1),
         half_px=0.5 / aspect,
-        taper=dice.between(*shape.taper),
-        base_share=dice.between(0.08, 0.2),
-        tip_share=dice.between(0.08, 0.2),
-        centre=dice.between(0.05, 0.95),
+        taper=rng.uniform(*shape.taper),
+        base_share=rng.uniform(0.08, 0.2),
+        tip_share=rng.uniform(0.08, 0.2),
+        centre=rng.uniform(0.05, 0.95),
         # The sharper the turn, the less of it fits into one place.
-        focus=0.0 if evenly else dice.between(0.5, 4.0) * min(1.0, 120 / max(largest, 1)),
-        spread=dice.between(0.15, 0.35),
-        s_turn_deg=dice.about(0, 60) if dice.maybe(0.15) else dice.about(0, 8),
+        focus=0.0 if evenly else rng.uniform(0.5, 4.0) * min(1.0, 120 / max(largest, 1)),
+        spread=rng.uniform(0.15, 0.35),
+        s_turn_deg=rng.normal(0, 60) if rng.bernoulli(0.15) else rng.normal(0, 8),
         valley=shape.valley,
-        chambers=dice.whole(*shape.chambers),
-        depth=dice.between(*shape.depth),
-        gap=dice.between(*shape.gap),
-        two_sided=dice.maybe(shape.two_sided),
-        swell=dice.between(*shape.swell),
-        uneven=dice.between(0, 0.5),
-        rim=dice.between(*shape.rim),
+        chambers=rng.integer(*shape.chambers),
+        depth=rng.uniform(*shape.depth),
+        gap=rng.uniform(*shape.gap),
+        two_sided=rng.bernoulli(shape.two_sided),
+        swell=rng.uniform(*shape.swell),
+        uneven=rng.uniform(0, 0.5),
+        rim=rng.uniform(*shape.rim),
         windings=windings,
-        slant=dice.between(0.1, 0.9) * (1 if dice.maybe(0.5) else -1),
-        crossed=dice.maybe(0.35),
-        layer=dice.between(0.08, 0.22) if dice.maybe(shape.layer) else 0.0,
-        tip_round=dice.between(*shape.tip_round),
-        cap=dice.one_of(("none", "none", "none", "cap", "tape")),
-        cap_share=dice.between(0.06, 0.14),
-        tip_over=dice.maybe(0.6),
+        slant=rng.uniform(0.1, 0.9) * (1 if rng.bernoulli(0.5) else -1),
+        crossed=rng.bernoulli(0.35),
+        layer=rng.uniform(0.08, 0.22) if rng.bernoulli(shape.layer) else 0.0,
+        tip_round=rng.uniform(*shape.tip_round),
+        cap=rng.choice(("none", "none", "none", "cap", "tape")),
+        cap_share=rng.uniform(0.06, 0.14),
+        tip_over=rng.bernoulli(0.6),
     )
 
 
-def drawn_surface(word: str, dice: Dice) -> Surface:
+def drawn_surface(word: str, rng: Rng) -> Surface:
     """Colours and gloss."""
     pale: Colour = (0.90, 0.89, 0.86)
-    vivid = dice.hue(dice.between(0.35, 0.95), dice.between(0.45, 0.95))
-    dark = dice.between(0.05, 0.17)
-    grey = dice.near((0.55, 0.55, 0.55), 0.1)
+    vivid = rng.any_hue(rng.uniform(0.35, 0.95), rng.uniform(0.45, 0.95))
+    dark = rng.uniform(0.05, 0.17)
+    grey = rng.jittered((0.55, 0.55, 0.55), 0.1)
     prints: tuple[Colour, ...] = (vivid, pale, grey, (0.16, 0.16, 0.17))
     cloths: tuple[Colour, ...] = (vivid, (0.2, 0.2, 0.22), (0.55, 0.55, 0.5), (0.78, 0.75, 0.68))
-    clear, cloudy = dice.between(0.62, 0.85), dice.between(0.72, 0.96)
-    tint = dice.hue(dice.between(0.25, 0.6), dice.between(0.7, 0.95))
+    clear, cloudy = rng.uniform(0.62, 0.85), rng.uniform(0.72, 0.96)
+    tint = rng.any_hue(rng.uniform(0.25, 0.6), rng.uniform(0.7, 0.95))
     # Colour, opacity, cavities, wrap of light, gloss, shininess, pattern.
     colour, opacity, cavity, wrap, gloss, shininess, pattern = {
         "translucent white": (
-            dice.near((0.86, 0.86, 0.83)),
+            rng.jittered((0.86, 0.86, 0.83)),
             cloudy,
             0.30,
             0.60,
@@ -141,46 +143,54 @@ def drawn_surface(word: str, dice: Dice) -> Surface:
             (15, 60),
             "none",
         ),
-        "white": (dice.near(pale, 0.04), 1.0, 0.0, 0.35, (0.0, 0.35), (8, 40), "none"),
+        "white": (rng.jittered(pale, 0.04), 1.0, 0.0, 0.35, (0.0, 0.35), (8, 40), "none"),
         "pigmented": (vivid, 1.0, 0.0, 0.25, (0.02, 0.5), (8, 50), "none"),
-        "dark rubber": (dice.near((dark, dark, 1.05 * dark)), 1.0, 0.0, 0.10, (0.05, 0.45), (6, 30), "none"),
-        "printed": (dice.one_of(prints), 1.0, 0.0, 0.15, (0.0, 0.25), (6, 25), "layers"),
-        "fabric": (dice.one_of(cloths), 1.0, 0.0, 0.30, (0.0, 0.02), (5, 8), "weave"),
+        "dark rubber": (
+            rng.jittered((dark, dark, 1.05 * dark)),
+            1.0,
+            0.0,
+            0.10,
+            (0.05, 0.45),
+            (6, 30),
+            "none",
+        ),
+        "printed": (rng.choice(prints), 1.0, 0.0, 0.15, (0.0, 0.25), (6, 25), "layers"),
+        "fabric": (rng.choice(cloths), 1.0, 0.0, 0.30, (0.0, 0.02), (5, 8), "weave"),
         "graded": (vivid, 1.0, 0.0, 0.30, (0.0, 0.4), (8, 40), "grade"),
         "banded": (pale if vivid[0] > vivid[2] else vivid, 1.0, 0.0, 0.25, (0.0, 0.3), (8, 30), "bands"),
         "tinted translucent": (tint, clear, 0.35, 0.55, (0.2, 0.8), (20, 60), "none"),
-        "speckled": (dice.near((0.45, 0.45, 0.44), 0.15), 1.0, 0.0, 0.25, (0.0, 0.3), (8, 30), "specks"),
+        "speckled": (rng.jittered((0.45, 0.45, 0.44), 0.15), 1.0, 0.0, 0.25, (0.0, 0.3), (8, 30), "specks"),
     }[word]
     layers: tuple[Colour, ...] = (
         pale,
         (0.25, 0.25, 0.27),
         (0.78, 0.72, 0.58),
         (0.45, 0.40, 0.33),
-        dice.hue(0.7, 0.7),
+        rng.any_hue(0.7, 0.7),
     )
     threads: tuple[Colour, ...] = (
         (0.92, 0.91, 0.88),
         (0.12, 0.12, 0.13),
         (0.75, 0.70, 0.50),
-        dice.hue(0.8, 0.7),
+        rng.any_hue(0.8, 0.7),
     )
     caps: tuple[Colour, ...] = (
         (0.08, 0.08, 0.09),
         (0.85, 0.84, 0.80),
         (0.80, 0.66, 0.25),
-        dice.hue(0.8, 0.8),
+        rng.any_hue(0.8, 0.8),
     )
     return Surface(
         colour=colour,
-        layer_colour=dice.near(dice.one_of(layers)),
-        thread_colour=dice.near(dice.one_of(threads)),
-        cap_colour=dice.near(dice.one_of(caps)),
+        layer_colour=rng.jittered(rng.choice(layers)),
+        thread_colour=rng.jittered(rng.choice(threads)),
+        cap_colour=rng.jittered(rng.choice(caps)),
         opacity=opacity,
-        cavity=cavity * dice.between(0.2, 1),
+        cavity=cavity * rng.uniform(0.2, 1),
         wrap=wrap,
-        gloss=dice.between(*gloss),
-        shininess=dice.steeply(*shininess),
-        grain=dice.between(0.01, 0.06),
-        roughness=0.15 if pattern in ("layers", "weave", "specks") else dice.between(0.0, 1.0),
+        gloss=rng.uniform(*gloss),
+        shininess=rng.log_uniform(*shininess),
+        grain=rng.uniform(0.01, 0.06),
+        roughness=0.15 if pattern in ("layers", "weave", "specks") else rng.uniform(0.0, 1.0),
         pattern=pattern,
     )

@@ -1,4 +1,6 @@
-"""Things that lie about in a laboratory: behind the body they distract, before it they hide."""
+"""Distractors: what lies about in a laboratory, behind the body or as an occluder in front of it.
+
+How many of them, and where, is decided in `renderer.py` and `backgrounds.py`."""
 
 from __future__ import annotations
 
@@ -8,9 +10,9 @@ import cv2
 import numpy as np
 
 from ...types import FloatArray, ImageArray
-from .dice import hue_colour
 from .look import Colour
 from .paint import Shade, axes, capsule, curve, fixed, rectangle, solid, strokes, tone
+from .rng import hue_colour
 
 SKIN: tuple[Colour, ...] = (
     *((0.91, 0.72, 0.61), (0.84, 0.62, 0.50), (0.72, 0.50, 0.38)),
@@ -29,36 +31,36 @@ def any_colour(rng: np.random.Generator, grey: float = 0.5) -> Colour:
 
 
 class Painter:
-    """Draws things into one picture, in place.
+    """Draws distractors into one image, in place.
 
     Parameters
     ----------
-    unit_px : larger side of the picture / 256
+    unit_px : larger side of the image / 256
     shade : the shadow that they throw, or None
     cover : (H, W) uint8 that gets what they cover, or None
     """
 
     def __init__(
         self,
-        picture: ImageArray,
+        image: ImageArray,
         rng: np.random.Generator,
         unit_px: float,
         shade: Shade | None = None,
         cover: ImageArray | None = None,
     ) -> None:
-        self.picture, self.rng, self.unit = picture, rng, unit_px
+        self.image, self.rng, self.unit = image, rng, unit_px
         self.shade, self.cover = shade, cover
 
-    def anything(self, place: FloatArray, heading: float) -> None:
-        """One thing that may lie on a bench."""
+    def any_distractor(self, place: FloatArray, heading: float) -> None:
+        """One distractor that may lie on a bench."""
         kinds: tuple[Callable[[FloatArray, float], None], ...] = (
             *(self.sheet, self.sheet, self.box, self.box, self.ruler, self.pen, self.pen, self.cable),
             *(self.cable, self.tape, self.disc, self.disc, self.hand, self.breadboard),
         )
         kinds[int(self.rng.integers(len(kinds)))](place, heading)
 
-    def hiding(self, place: FloatArray, heading: float) -> None:
-        """One thing that may come before the body: narrow enough to leave most of it to be seen."""
+    def any_occluder(self, place: FloatArray, heading: float) -> None:
+        """One occluder, narrow enough to leave most of the body visible."""
         kinds = (self.pen, self.cable, self.cable, self.tape, self.finger, self.ruler)
         kinds[int(self.rng.integers(len(kinds)))](place, heading)
 
@@ -71,15 +73,15 @@ class Painter:
     ) -> None:
         """Fill an outline; see `paint.solid`."""
         solid(
-            self.picture, outline, colour, self.rng,
+            self.image, outline, colour, self.rng,
             ramp=ramp, rounding_px=rounding_px, shade=self.shade, cover=self.cover,
         )  # fmt: skip
 
     def _patch(self, outline: FloatArray, colour: Colour) -> None:
         """Fill an outline on top of what is there: no shadow."""
-        for picture, filled in ((self.picture, tone(colour)), (self.cover, 255)):
-            if picture is not None:
-                cv2.fillPoly(picture, [fixed(outline)], filled, cv2.LINE_AA, 4)
+        for image, filled in ((self.image, tone(colour)), (self.cover, 255)):
+            if image is not None:
+                cv2.fillPoly(image, [fixed(outline)], filled, cv2.LINE_AA, 4)
 
     def sheet(self, place: FloatArray, heading: float) -> None:
         """A paper with some print on it."""
@@ -92,7 +94,7 @@ class Painter:
         v = np.linspace(-0.4, 0.4, max(rows, 1))[:rows, None] * width * across
         ends = rng.uniform(-0.1, 0.42, (rows, 1)) * length * along
         ink: Colour = tuple(0.35 * c for c in colour)  # type: ignore[assignment]
-        strokes(self.picture, np.stack([place + v - 0.42 * length * along, place + v + ends], axis=1), ink)
+        strokes(self.image, np.stack([place + v - 0.42 * length * along, place + v + ends], axis=1), ink)
 
     def box(self, place: FloatArray, heading: float) -> None:
         """A box or an instrument: two faces, perhaps buttons."""
@@ -105,11 +107,11 @@ class Painter:
         side = np.array(
             [outline[0], outline[1], outline[1] + (0, 0.25 * width), outline[0] + (0, 0.25 * width)]
         )
-        cv2.fillPoly(self.picture, [fixed(side)], tone(colour, rng.uniform(0.5, 1.3)), cv2.LINE_AA, 4)
+        cv2.fillPoly(self.image, [fixed(side)], tone(colour, rng.uniform(0.5, 1.3)), cv2.LINE_AA, 4)
         for _ in range(int(rng.integers(0, 5))):
             spot = place + along * rng.uniform(-0.4, 0.4) * length
             cv2.circle(
-                self.picture,
+                self.image,
                 tuple(fixed(spot)),
                 int(rng.uniform(1, 4) * unit * 16),
                 tone(any_colour(rng)),
@@ -137,7 +139,7 @@ class Painter:
         number = np.arange(int(length / pitch))
         start = place + (number[:, None] * pitch - 0.5 * length) * along + 0.5 * width * across
         end = start - np.where(number % 5 == 0, 0.55, 0.3)[:, None] * width * across
-        strokes(self.picture, np.stack([start, end], axis=1), (0.12, 0.12, 0.14))
+        strokes(self.image, np.stack([start, end], axis=1), (0.12, 0.12, 0.14))
 
     def pen(self, place: FloatArray, heading: float) -> None:
         """A pen, a screwdriver or a rod: a shaft with a tip and a cap."""
@@ -166,7 +168,7 @@ class Painter:
         if self.shade is not None:
             moved = [fixed(line + self.shade.offset_xy)]
             cv2.polylines(
-                self.picture, moved, False, tone((0.16, 0.16, 0.16)), max(1, int(width_px)), cv2.LINE_AA, 4
+                self.image, moved, False, tone((0.16, 0.16, 0.16)), max(1, int(width_px)), cv2.LINE_AA, 4
             )
         light = [fixed(line - (0.12 * width_px, 0.15 * width_px))]
         for share, factor, drawn in (
@@ -176,7 +178,7 @@ class Painter:
             (0.2, 1.18, light),
         ):
             cv2.polylines(
-                self.picture,
+                self.image,
                 drawn,
                 False,
                 tone(colour, factor),
@@ -212,7 +214,7 @@ class Painter:
         self.fill(place + radius * ring, colour)
         for share in (0.8, rng.uniform(0.2, 0.7)):
             cv2.fillPoly(
-                self.picture,
+                self.image,
                 [fixed(place + radius * share * ring)],
                 tone(colour, rng.uniform(0.5, 1.2)),
                 cv2.LINE_AA,
@@ -232,7 +234,7 @@ class Painter:
         )
         nail: Colour = tuple(min(1.0, 1.08 * c + 0.03) for c in skin)  # type: ignore[assignment]
         spot = capsule(end - 0.3 * radius * along, end + 0.45 * radius * along, 0.42 * radius, 0.42 * radius)
-        cv2.fillPoly(self.picture, [fixed(spot)], tone(nail), cv2.LINE_AA, 4)
+        cv2.fillPoly(self.image, [fixed(spot)], tone(nail), cv2.LINE_AA, 4)
 
     def hand(self, place: FloatArray, heading: float) -> None:
         """A palm with fingers, gloved or not."""
@@ -263,4 +265,4 @@ class Painter:
         self.fill(rectangle(place, along, length, width), boards[int(rng.integers(4))])
         u, v = np.meshgrid(np.linspace(-0.45, 0.45, 18) * length, np.linspace(-0.4, 0.4, 6) * width)
         holes = place + u.reshape(-1, 1) * along + v.reshape(-1, 1) * across
-        strokes(self.picture, np.stack([holes, holes + 0.8 * along], axis=1), (0.35, 0.34, 0.32))
+        strokes(self.image, np.stack([holes, holes + 0.8 * along], axis=1), (0.35, 0.34, 0.32))

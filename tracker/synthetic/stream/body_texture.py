@@ -1,4 +1,6 @@
-"""The lit body as a texture in body coordinates: its outline, relief, colours and shading. Knows no picture."""
+"""The lit body as a texture in body coordinates: its outline, relief, colours and shading.
+
+Where the body is in the image is not known here: `warp.py` puts it there."""
 
 from __future__ import annotations
 
@@ -10,11 +12,11 @@ import numpy as np
 from ...types import FloatArray, ImageArray
 from .chain import Chain
 from .look import Body, Colour, Light, Surface
-from .noise import cut
+from .noise import noise_field
 
 # How far the texture reaches beyond the midline, in half thicknesses: inner and outer side.
 INNER, OUTER = 1.15, 1.55
-# Texels at most: a body that fills the picture is drawn a little softer.
+# Texels at most: a body that fills the image is drawn a little softer.
 _MOST_TEXELS = 36_000.0
 
 
@@ -29,7 +31,7 @@ def hidden_px(body: Body) -> float:
 
 
 @dataclass(frozen=True)
-class Coat:
+class BodyTexture:
     """Premultiplied RGBA texture of a lit body.
 
     Attributes
@@ -103,9 +105,9 @@ class _Grid:
         return len(self.v), len(self.s)
 
 
-def coat(
+def draw_texture(
     body: Body, surface: Surface, light: Light, chain: Chain, pressure: float, supersampling: float
-) -> Coat:
+) -> BodyTexture:
     """Draw the lit body.
 
     Parameters
@@ -135,7 +137,9 @@ def coat(
     if surface.pattern == "layers":
         relief += np.float32(0.22) * np.sin(v * np.float32(2 * np.pi * max(body.half_px / 2.2, 2)))
     if surface.roughness:
-        relief += np.float32(surface.roughness) * cut(rng, grid.shape, 3 if surface.roughness == 0.15 else 12)
+        relief += np.float32(surface.roughness) * noise_field(
+            rng, grid.shape, 3 if surface.roughness == 0.15 else 12
+        )
 
     level, gloss = _lit(relief.astype(np.float32), s, surface, light, chain, grid.per_px)
     tone = level * _tone(body, surface, grid, edge, rng)
@@ -152,7 +156,7 @@ def coat(
             plane = plane + (np.float32(other[channel]) - plane) * weight
         planes.append(np.minimum(plane * tone + gloss, np.float32(1)) * alpha)
     rgba = cv2.convertScaleAbs(cv2.merge([*planes, alpha]))
-    return Coat(rgba, -hidden_px(body), grid.per_px, grid.per_px * body.half_px)
+    return BodyTexture(rgba, -hidden_px(body), grid.per_px, grid.per_px * body.half_px)
 
 
 def _grid(body: Body, chain: Chain, pressure: float, supersampling: float) -> _Grid:
@@ -202,7 +206,7 @@ def _tone(
 ) -> FloatArray:
     """What the colour is multiplied with besides the light, (V, U)."""
     s, v = grid.s, grid.v
-    tone = 1 + np.float32(surface.grain) * cut(rng, grid.shape, 24)
+    tone = 1 + np.float32(surface.grain) * noise_field(rng, grid.shape, 24)
     if surface.pattern == "weave":
         across = np.sin(v * np.float32(1.2 * body.half_px))
         tone *= 1 + np.float32(0.10) * np.sin(s * np.float32(2.4)) * across
@@ -230,7 +234,7 @@ def _mixes(
     """What lies over the body's own colour, one over the other: coverage 0 to 1, and colour."""
     s, mixes = grid.s, []
     if surface.pattern == "specks":
-        mixes.append((_clipped((cut(rng, grid.shape, 2.5) - 0.9) * 2.5), surface.thread_colour))
+        mixes.append((_clipped((noise_field(rng, grid.shape, 2.5) - 0.9) * 2.5), surface.thread_colour))
     elif surface.pattern in ("grade", "bands"):
         mixes.append((_along(surface.pattern, s, chain, rng, grid.shape), surface.thread_colour))
     if body.layer:
@@ -258,7 +262,7 @@ def _along(
         near = (widths[:, None] - np.abs(u - middles[:, None])).max(axis=0)
         return _clipped((near * 60 + 0.5).astype(np.float32))[None]
     start, rise = rng.uniform(-0.3, 0.8), rng.choice([-1, 1]) * rng.uniform(0.8, 4)
-    return _clipped(np.float32(0.35) * cut(rng, shape, 12) + ((u - start) * rise).astype(np.float32))
+    return _clipped(np.float32(0.35) * noise_field(rng, shape, 12) + ((u - start) * rise).astype(np.float32))
 
 
 def _lit(

@@ -1,4 +1,7 @@
-"""From a look to pictures with their truth."""
+"""The renderer: from a look and a bend to an image with its exact truth.
+
+Its parts (background, clamp, body texture, warp, exposure) live in modules of their own.
+"""
 
 from __future__ import annotations
 
@@ -9,35 +12,39 @@ import numpy as np
 
 from ...types import BoolArray, FloatArray, ImageArray
 from .backgrounds import background
-from .chain import DENSE, KEYPOINTS, Chain, Projection, opposite, turn_in_picture_deg
+from .body_texture import draw_texture
+from .chain import DENSE, KEYPOINTS, Chain, Projection, opposite, turn_in_image_deg
 from .clamps import clamp, reach
-from .coat import coat
-from .exposure import light_map, taken
-from .laying import Layer, laid
+from .distractors import Painter
+from .exposure import expose, light_map
 from .look import Light, Look, Place
 from .paint import Shade, axes, curve
-from .things import Painter
+from .warp import Layer, warped
 
 # Bodies that cover more than this many px are not supersampled.
 _LARGE_PX = 2500
+# A tip moves about this share of the body's length for each radian of bend.
+_TIP_TRAVEL = 0.5
+# A way of the tip during the exposure, px: a shorter one cannot be seen, and its blur costs two more bends to draw.
+_SHARP_PX = 2.0
 
 
 @dataclass(frozen=True)
 class Sample:
-    """A picture and its exact truth.
+    """An image and its exact truth.
 
     Attributes
     ----------
-    picture : RGB uint8 (H, W, 3)
-    midline_xy : (96, 2) px of the picture, evenly along the body from where it leaves the clamp to its end
+    image : RGB uint8 (H, W, 3)
+    midline_xy : (96, 2) px of the image, evenly along the body from where it leaves the clamp to its end
     keypoints_xy : (9, 2) px, in the order of `KEYPOINTS`
-    visible : (9,) bool; within the picture, and nothing lies before it
-    angle_deg : turn from base_2 - base_1 to tip_2 - tip_1 in the picture, followed along the body, clockwise on
+    visible : (9,) bool; within the image, and nothing lies before it
+    angle_deg : turn from base_2 - base_1 to tip_2 - tip_1 in the image, followed along the body, clockwise on
         the screen positive; of a tilted plane not the bend that was asked for
     look : what is shown; `look.words` are its families
     """
 
-    picture: ImageArray
+    image: ImageArray
     midline_xy: FloatArray
     keypoints_xy: FloatArray
     visible: BoolArray
@@ -45,7 +52,31 @@ class Sample:
     look: Look
 
 
-class Stage:
+@dataclass(frozen=True)
+class _Shot:
+    """What is in front of the camera at one bend.
+
+    Attributes
+    ----------
+    image : ndarray
+        RGB uint8 (H, W, 3), not exposed yet.
+    chain : Chain
+        Of the labelled arm.
+    behind, front : Layer or None
+        Halves of the labelled arm, see `warp.warped`.
+    occluded, clamped : ndarray
+        Coverage by occluders and by the labelled arm's clamp, uint8 (H, W).
+    """
+
+    image: ImageArray
+    chain: Chain
+    behind: Layer | None
+    front: Layer | None
+    occluded: ImageArray
+    clamped: ImageArray
+
+
+class Renderer:
     """Draws one look at any angle. What does not move is drawn once, here."""
 
     def __init__(self, look: Look) -> None:
@@ -68,44 +99,66 @@ class Stage:
         pressure: float | None = None,
         noise_seed: int = 0,
         moment: float | None = None,
+        sweep_deg: float = 0.0,
     ) -> Sample:
         """Draw the actuator.
 
         Parameters
         ----------
-        bend_deg : bend in the plane of the body, toward the side to which it bends under pressure
-        pressure : relative to the full one, swells the chambers; None goes with the bend
-        noise_seed : of the sensor's noise
-        moment : in the film, from 0 to 1: as far the exposure has wandered. None: it is as it was set
+        bend_deg : float
+            Bend in the plane of the body, toward the side to which it bends under pressure.
+        pressure : float or None
+            Relative to the full one, swells the chambers. None: in proportion to the bend.
+        noise_seed : int
+            Of the sensor's noise.
+        moment : float or None
+            Place in the film, from 0 to 1, at which the exposure has drifted. None: as the look sets it.
+        sweep_deg : float
+            How far the bend moves while the shutter is open. The truth is that of the middle.
+
+        Returns
+        -------
+        Sample
+            The image and its truth.
         """
         look = self.look
         if pressure is None:
             pressure = float(np.clip(bend_deg / max(look.bend_deg[1], 90.0), 0, 1))
+        travel_px = abs(np.radians(sweep_deg)) * _TIP_TRAVEL * look.body.length_px
+        # An odd number: the middle one is at `bend_deg` exactly.
+        steps = 1 + 2 * min(int(travel_px / _SHARP_PX), 2)
+        shots = [
+            self._composed(bend_deg + sweep_deg * ((k + 0.5) / steps - 0.5), pressure) for k in range(steps)
+        ]
+        middle = shots[steps // 2]
+        rng = np.random.default_rng([look.scene.seed, 9, noise_seed])
+        image = expose(
+            _averaged([shot.image for shot in shots]), self._lit, self._light_at(moment), look.sensor, rng
+        )
+        return self._with_truth(image, middle)
+
+    def _composed(self, bend_deg: float, pressure: float) -> _Shot:
+        """Background, shadow, body, clamps and occluders at one bend, before the camera."""
+        look = self.look
         chains = [Chain(look.body, place, bend_deg) for place in self._places]
-        picture = self._background.copy()
-        # A large body is sharp enough with one sample a px: the coat's own edge is smooth.
+        image = self._background.copy()
+        # A large body is sharp enough with one sample a px: the texture's own edge is smooth.
         fine = 2 if 2 * look.body.half_px * look.body.length_px < _LARGE_PX else 1
         layers: list[tuple[Layer | None, Layer | None]] = []
         for chain in chains:
-            skin = coat(look.body, look.surface, look.light, chain, pressure, 0.6 + 0.7 * fine)
-            layers.append(laid(skin, chain, self._projection, look.size_wh, look.body.tip_over, fine))
+            texture = draw_texture(look.body, look.surface, look.light, chain, pressure, 0.6 + 0.7 * fine)
+            layers.append(warped(texture, chain, self._projection, look.size_wh, look.body.tip_over, fine))
         shadow = self._texture * self._shadow([layer for pair in layers for layer in pair if layer])
-        picture = cv2.multiply(picture, cv2.cvtColor(shadow, cv2.COLOR_GRAY2RGB), dtype=cv2.CV_8U)
-        clamped, cover = np.zeros((2, *picture.shape[:2]), np.uint8)
+        image = cv2.multiply(image, cv2.cvtColor(shadow, cv2.COLOR_GRAY2RGB), dtype=cv2.CV_8U)
+        clamped, cover = np.zeros((2, *image.shape[:2]), np.uint8)
         # The labelled arm comes last and lies over the other.
         for place, (behind, front) in zip(self._places, layers, strict=True):
             for layer in (behind, front):
                 if layer is not None:
-                    _lay(picture, layer, self._shade if layer is front and behind is not None else None)
-            self._clamp(picture, place, clamped if place is look.place else None)
-        self._occlude(picture, cover)
-        rng = np.random.default_rng([look.scene.seed, 9, noise_seed])
-        return self._with_truth(
-            taken(picture, self._lit, self._light_at(moment), look.sensor, rng),
-            (cover, clamped),
-            chains[-1],
-            layers[-1],
-        )
+                    _blend(image, layer, self._shade if layer is front and behind is not None else None)
+            self._clamp(image, place, clamped if place is look.place else None)
+        self._occlude(image, cover)
+        return _Shot(image, chains[-1], *layers[-1], cover, clamped)
 
     def _light_at(self, moment: float | None) -> Light:
         """The look's light, its exposure up and down a few times during the film."""
@@ -116,20 +169,14 @@ class Stage:
         wander = 1 + light.drift * np.sin(2 * np.pi * (times * moment + phase))
         return replace(light, gain=light.gain * float(wander))
 
-    def _with_truth(
-        self,
-        picture: ImageArray,
-        covers: tuple[ImageArray, ImageArray],
-        chain: Chain,
-        layers: tuple[Layer | None, Layer | None],
-    ) -> Sample:
-        """The truth beside the picture. `covers`: where an occluder lies, and where the clamp does."""
+    def _with_truth(self, image: ImageArray, shot: _Shot) -> Sample:
+        """The image that the camera hands over, and the truth of what was in front of it."""
+        chain, behind, front = shot.chain, shot.behind, shot.front
         s = np.concatenate([np.linspace(0, chain.length_px, DENSE), chain.keypoint_s])
-        midline, keypoints = np.split(self._projection.picture(chain.point(s)), [DENSE])
+        midline, keypoints = np.split(self._projection.to_image(chain.point(s)), [DENSE])
         width, height = self.look.size_wh
         x_px, y_px = keypoints.T
         visible = (x_px >= -0.5) & (x_px <= width - 0.5) & (y_px >= -0.5) & (y_px <= height - 0.5)
-        behind, front = layers
         # Where the body overlaps itself, the hinder half's points may lie under the front half.
         hinder = (
             slice(0, len(KEYPOINTS) // 2) if self.look.body.tip_over else slice(len(KEYPOINTS) // 2 + 1, None)
@@ -137,23 +184,23 @@ class Stage:
         for index in np.flatnonzero(visible):
             x, y = min(max(round(x_px[index]), 0), width - 1), min(max(round(y_px[index]), 0), height - 1)
             # The body leaves the clamp at its edge: that point is seen.
-            if covers[0][y, x] > 127 or (index > 0 and covers[1][y, x] > 127):
+            if shot.occluded[y, x] > 127 or (index > 0 and shot.clamped[y, x] > 127):
                 visible[index] = False
             if behind is not None and front is not None and index in range(len(KEYPOINTS))[hinder]:
                 u, v = x - front.x0, y - front.y0
                 inside = 0 <= v < front.rgba.shape[0] and 0 <= u < front.rgba.shape[1]
                 if inside and front.rgba[v, u, 3] > 127:
                     visible[index] = False
-        angle = turn_in_picture_deg(keypoints, midline)
-        return Sample(picture, midline, keypoints, visible, angle, self.look)
+        angle = turn_in_image_deg(keypoints, midline)
+        return Sample(image, midline, keypoints, visible, angle, self.look)
 
     def _draw_behind(self) -> None:
         """Things that lie about and the tubes: into the background."""
         look, scene = self.look, self.look.scene
         rng = np.random.default_rng([scene.seed, 4])
         painter = Painter(self._background, rng, self._unit, self._shade)
-        for _ in range(scene.things):
-            painter.anything(rng.random(2) * look.size_wh, rng.uniform(0, 2 * np.pi))
+        for _ in range(scene.distractors):
+            painter.any_distractor(rng.random(2) * look.size_wh, rng.uniform(0, 2 * np.pi))
         for place in self._places:
             turn = rng.normal(0, 0.25, 6).cumsum()
             if not scene.tube_px:
@@ -165,7 +212,7 @@ class Stage:
             )
             steps = 40 * self._unit * np.stack([np.cos(heading), np.sin(heading)], axis=1)
             knots = np.concatenate([start[None], start + np.cumsum(steps, axis=0)])
-            painter.hose(self._projection.picture(curve(knots)), scene.tube_colour, scene.tube_px)
+            painter.hose(self._projection.to_image(curve(knots)), scene.tube_colour, scene.tube_px)
         if len(self._places) == 2:
             self._mount(painter, rng)
 
@@ -183,9 +230,9 @@ class Stage:
                 for side in (-0.7, 0.7)
             ]
         hull = cv2.convexHull(np.asarray(ends, np.float32)).reshape(-1, 2).astype(float)
-        painter.fill(self._projection.picture(hull), self.look.scene.clamp_colour)
+        painter.fill(self._projection.to_image(hull), self.look.scene.clamp_colour)
 
-    def _clamp(self, picture: ImageArray, place: Place, cover: ImageArray | None) -> None:
+    def _clamp(self, image: ImageArray, place: Place, cover: ImageArray | None) -> None:
         look = self.look
         thick = max(2 * look.body.half_px, 7 * self._unit)
         heading = np.radians(place.direction_deg)
@@ -194,7 +241,7 @@ class Stage:
 
         def local(st: FloatArray) -> FloatArray:
             # OpenCV fills a polygon about half a px beyond its outline; the face is to lie at the base.
-            return self._projection.picture(np.asarray(place.base_xy) - 0.45 * along + st @ unit)
+            return self._projection.to_image(np.asarray(place.base_xy) - 0.45 * along + st @ unit)
 
         rng = np.random.default_rng([look.scene.clamp_seed, 5])
         clamp(
@@ -202,22 +249,22 @@ class Stage:
             look.scene.clamp_colour,
             local,
             thick,
-            Painter(picture, rng, self._unit, None, cover),
+            Painter(image, rng, self._unit, None, cover),
         )
 
-    def _occlude(self, picture: ImageArray, cover: ImageArray) -> None:
+    def _occlude(self, image: ImageArray, cover: ImageArray) -> None:
         """Things that lie over the body halfway through its bends, and do not move with it."""
         look, scene = self.look, self.look.scene
         if not scene.occluders:
             return
         chain = Chain(look.body, look.place, sum(look.bend_deg) / 2)
         rng = np.random.default_rng([scene.seed, 6])
-        painter = Painter(picture, rng, self._unit, self._shade, cover)
+        painter = Painter(image, rng, self._unit, self._shade, cover)
         for _ in range(scene.occluders):
             s = rng.uniform(0.15, 1.0) * chain.length_px
-            place = self._projection.picture(chain.point(s))
+            place = self._projection.to_image(chain.point(s))
             across = float(chain.heading_at(np.array(s))) + np.pi / 2 + rng.normal(0, 0.5)
-            painter.hiding(place, across + np.pi * int(rng.integers(2)))
+            painter.any_occluder(place, across + np.pi * int(rng.integers(2)))
 
     def _shadow(self, layers: list[Layer]) -> FloatArray:
         """What the bodies' and clamps' shadow leaves of the light on the background, (H, W) float32."""
@@ -231,7 +278,7 @@ class Stage:
             heading, thick = np.radians(place.direction_deg), 2 * self.look.body.half_px
             along, _ = axes(heading)
             ends = np.array([place.base_xy, np.asarray(place.base_xy) - 1.2 * thick * along])
-            corners = np.round(self._projection.picture(ends)).astype(np.int32)
+            corners = np.round(self._projection.to_image(ends)).astype(np.int32)
             cv2.line(
                 mask, tuple(corners[0].tolist()), tuple(corners[1].tolist()), 255, max(1, int(1.2 * thick))
             )
@@ -244,10 +291,20 @@ class Stage:
         return cv2.resize(left, (width, height), interpolation=cv2.INTER_LINEAR) * np.float32(1 / 255)
 
 
-def _lay(picture: ImageArray, layer: Layer, shade: Shade | None) -> None:
-    """Put a layer over the picture, in place, with its shadow on what lies just behind."""
+def _averaged(images: list[ImageArray]) -> ImageArray:
+    """Mean of images, as a shutter that stays open sees them."""
+    if len(images) == 1:
+        return images[0]
+    total = np.zeros(images[0].shape, np.float32)
+    for image in images:
+        cv2.accumulate(image, total)
+    return np.asarray(cv2.convertScaleAbs(total, alpha=1 / len(images)), np.uint8)
+
+
+def _blend(image: ImageArray, layer: Layer, shade: Shade | None) -> None:
+    """Blend a layer over the image, in place, with its shadow on what lies just behind."""
     rows, columns = layer.rgba.shape[:2]
-    part = picture[layer.y0 : layer.y0 + rows, layer.x0 : layer.x0 + columns]
+    part = image[layer.y0 : layer.y0 + rows, layer.x0 : layer.x0 + columns]
     alpha = layer.rgba[..., 3]
     through = 255 - alpha
     if shade is not None:
