@@ -47,9 +47,12 @@ class AngleDefinition:
 
     Attributes
     ----------
-    name : one of `DEFINITIONS`
-    points : keypoint names, base to tip
-    sign : +1 or -1, multiplies the angle (+1: positive is clockwise on the screen, see the glossary above)
+    name : str
+        One of `DEFINITIONS`.
+    points : tuple of str
+        Keypoint names, base to tip.
+    sign : int
+        +1 or -1, multiplies the angle (+1: positive is clockwise on the screen, see the glossary above).
 
     Raises
     ------
@@ -121,16 +124,23 @@ def bending_angle(
 
     Parameters
     ----------
-    xy : (T, K, 2) px, NaN where unknown
-    keypoints : K names, in the order of `xy`
-    definition : which angle, of which points, with which sign
-    covariance : (T, K, 2, 2) px^2 of the positions (errors of different points are taken as independent)
+    xy : ndarray of float
+        (T, K, 2) px, NaN where unknown.
+    keypoints : sequence of str
+        K names, in the order of `xy`.
+    definition : AngleDefinition
+        Which angle, of which points, with which sign.
+    covariance : ndarray of float or None, optional
+        (T, K, 2, 2) px^2 of the positions (errors of different points are taken as independent).
 
     Returns
     -------
-    angle_deg : (T,) degrees; NaN where a point of the chain is NaN or neighbours coincide
-    angle_sd_deg : (T,) degrees; NaN where the angle or a covariance is NaN, or `covariance` is None
-    coincident : (T,) bool; two neighbours of the chain lie closer than `COINCIDENT_PX`
+    angle_deg : ndarray of float
+        (T,) degrees; NaN where a point of the chain is NaN or neighbours coincide.
+    angle_sd_deg : ndarray of float
+        (T,) degrees; NaN where the angle or a covariance is NaN, or `covariance` is None.
+    coincident : ndarray of bool
+        (T,) two neighbours of the chain lie closer than `COINCIDENT_PX`.
 
     Raises
     ------
@@ -171,12 +181,17 @@ def sign_from_labels(xy: FloatArray, keypoints: Sequence[str], definition: Angle
 
     Parameters
     ----------
-    xy : (N, K, 2) px
-    keypoints, definition : as in `bending_angle`; the definition's own sign is ignored
+    xy : ndarray of float
+        (N, K, 2) px.
+    keypoints : sequence of str
+        K names, in the order of `xy`.
+    definition : AngleDefinition
+        Which angle, of which points; its own sign is ignored.
 
     Returns
     -------
-    +1 or -1, to be used as `AngleDefinition.sign` (+1 when everything is exactly straight)
+    int
+        +1 or -1, to be used as `AngleDefinition.sign` (+1 when everything is exactly straight).
 
     Raises
     ------

@@ -29,7 +29,8 @@ def is_up_to_date(
 
     Parameters
     ----------
-    settings : as `tracking.tracking_settings` gives them; None where they follow from video and detector
+    settings : mapping of str to Any or None
+        As `tracking.tracking_settings` gives them; None where they follow from video and detector.
     """
     folder = Path(out_dir)
     try:
@@ -57,8 +58,10 @@ class StemChoice(NamedTuple):
 
     Attributes
     ----------
-    stem : name of the files, without suffix
-    note : one line for the user when it is not simply the video's own stem, else None
+    stem : str
+        Name of the files, without suffix.
+    note : str or None
+        One line for the user when it is not simply the video's own stem, else None.
     """
 
     stem: str

@@ -134,7 +134,12 @@ def orientation(picture: av.VideoFrame) -> tuple[Orientation, int, str | None]:
 
     Returns
     -------
-    orientation, the counterclockwise turn in degrees, a warning or None
+    orientation : Orientation
+        How the frame is turned.
+    rotation_deg : int
+        The counterclockwise turn that the file asks for, degrees.
+    warning : str or None
+        A line where that turn is not applied.
     """
     if SideDataType.DISPLAYMATRIX not in picture.side_data:
         return Orientation(), 0, None

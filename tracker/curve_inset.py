@@ -17,10 +17,14 @@ class CurveInset:
 
     Parameters
     ----------
-    time_s, angle_deg : (T,), the whole video's
-    xy : (T, K, 2) px, to keep out of the way of
-    size_wh : of the frame, px
-    scale : 1 for a 640 x 480 frame
+    time_s, angle_deg : ndarray of float
+        (T,), the whole video's.
+    xy : ndarray of float
+        (T, K, 2) px, to keep out of the way of.
+    size_wh : tuple of (int, int)
+        Of the frame, px.
+    scale : float
+        1 for a 640 x 480 frame.
     """
 
     def __init__(

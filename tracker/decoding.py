@@ -53,8 +53,10 @@ class Decoding:
 
     Attributes
     ----------
-    n_hidden : packets so far that are not to be shown
-    problems : why frames are missing, a line each; complete once `rows` is exhausted
+    n_hidden : int
+        Packets so far that are not to be shown.
+    problems : list of str
+        Why frames are missing, a line each; complete once `rows` is exhausted.
     """
 
     def __init__(

@@ -117,9 +117,12 @@ def text(
 
     Parameters
     ----------
-    at : position of the anchor
-    size : height of the letters' body, px
-    anchor : which point of the words lies at `at`: (0, 0) left top, (0.5, 0.5) centre, (1, 1) right bottom
+    at : tuple of (float, float)
+        Position of the anchor.
+    size : int
+        Height of the letters' body, px.
+    anchor : tuple of (float, float), optional
+        Which point of the words lies at `at`: (0, 0) left top, (0.5, 0.5) centre, (1, 1) right bottom.
     """
     fill, edge = _letters(words, size, bold)
     height, width = fill.shape

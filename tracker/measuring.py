@@ -60,13 +60,20 @@ def measure(
 
     Parameters
     ----------
-    found : of T frames; NaN where a frame could not be decoded
-    keypoints : the K names
-    definition : which angle, of which of them
-    size_wh : of the frames, px
-    decoded, damaged : (T,) bool, as `types.Flag` means them
-    min_likelihood : a row with a keypoint of the angle below this is flagged `low_likelihood`
-    steady : whether a row whose neighbours say another angle is flagged `jump`
+    found : Detections
+        Of T frames; NaN where a frame could not be decoded.
+    keypoints : sequence of str
+        The K names.
+    definition : AngleDefinition
+        Which angle, of which of them.
+    size_wh : tuple of (int, int)
+        Of the frames, px.
+    decoded, damaged : ndarray of bool
+        (T,) as `types.Flag` means them.
+    min_likelihood : float, optional
+        A row with a keypoint of the angle below this is flagged `low_likelihood`.
+    steady : bool, optional
+        Whether a row whose neighbours say another angle is flagged `jump`.
     """
     angle_deg, angle_sd_deg, coincident = bending_angle(found.xy, keypoints, definition, found.covariance)
     chain = [keypoints.index(point) for point in definition.points]

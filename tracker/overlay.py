@@ -85,8 +85,10 @@ class Overlay:
 
     Parameters
     ----------
-    table : whose `definition` is known
-    size_wh : of the frames, px
+    table : AngleTable
+        Whose `definition` is known.
+    size_wh : tuple of (int, int)
+        Of the frames, px.
     """
 
     def __init__(self, table: AngleTable, size_wh: tuple[int, int]) -> None:
@@ -115,7 +117,8 @@ class Overlay:
 
         Parameters
         ----------
-        image : RGB uint8 (H, W, 3), not changed; None for a frame that could not be decoded
+        image : ndarray of uint8 or None
+            RGB uint8 (H, W, 3), not changed; None for a frame that could not be decoded.
         """
         if image is None:
             canvas = (0.35 * self._last).astype(np.uint8)

@@ -52,8 +52,10 @@ class Project:
 
     Attributes
     ----------
-    root : the project's folder
-    settings : bendtrack.toml, validated
+    root : Path
+        The project's folder.
+    settings : ProjectSettings
+        bendtrack.toml, validated.
     """
 
     def __init__(self, root: Path, settings: ProjectSettings) -> None:
@@ -76,10 +78,14 @@ class Project:
 
         Parameters
         ----------
-        root : the project's folder, made with its parents
-        keypoints : names, base to tip
-        angle : an angle definition; None takes `two-vector`, or `three-point` where there are three keypoints
-        scorer : who labels; None takes the default of `ProjectSettings`
+        root : str or Path
+            The project's folder, made with its parents.
+        keypoints : sequence of str
+            Names, base to tip.
+        angle : str or None, optional
+            An angle definition; None takes `two-vector`, or `three-point` where there are three keypoints.
+        scorer : str or None, optional
+            Who labels; None takes the default of `ProjectSettings`.
 
         Raises
         ------
@@ -148,8 +154,9 @@ class Project:
 
         Parameters
         ----------
-        labelled_xy : (N, K, 2) px of the labelled frames, looked at only where the project's sign is "auto";
-            None then leaves the sign +1, clockwise on the screen
+        labelled_xy : ndarray of float or None, optional
+            (N, K, 2) px of the labelled frames, looked at only where the project's sign is "auto";
+            None then leaves the sign +1, clockwise on the screen.
 
         Raises
         ------

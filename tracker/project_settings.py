@@ -37,9 +37,12 @@ class AngleSettings(Section):
 
     Attributes
     ----------
-    definition : one of `angle.DEFINITIONS`
-    points : the chain from base to tip; left out, `angle.default_points` of the keypoints
-    sign : "auto" makes the bending of the labelled frames positive; "+" is clockwise on the screen, "-" not
+    definition : {'two-vector', 'three-point', 'chord', 'arc-fit'}
+        One of `angle.DEFINITIONS`.
+    points : tuple of str or None
+        The chain from base to tip; left out, `angle.default_points` of the keypoints.
+    sign : {'auto', '+', '-'}
+        "auto" makes the bending of the labelled frames positive; "+" is clockwise on the screen, "-" not.
     """
 
     definition: Literal["two-vector", "three-point", "chord", "arc-fit"] = "two-vector"
@@ -70,10 +73,18 @@ class ProjectSettings(Section):
 
     Attributes
     ----------
-    keypoints : distinct names, from base to tip where the angle names no points
-    scorer : who labels, part of the name of the label files (CollectedData_<scorer>.csv)
-    angle, training, tracking : sections
-    actuators : actuator name -> its videos, as stems or file names. Labels of one actuator train and are
+    keypoints : tuple of str
+        Distinct names, from base to tip where the angle names no points.
+    scorer : str
+        Who labels, part of the name of the label files (CollectedData_<scorer>.csv).
+    angle : AngleSettings
+        Which bending angle is measured.
+    training : TrainingSettings
+        Overrides of the training defaults.
+    tracking : TrackingSettings
+        Overrides of the tracking defaults.
+    actuators : dict of str to tuple of str
+        Actuator name -> its videos, as stems or file names. Labels of one actuator train and are
         judged together. A video that no actuator lists belongs to the actuator `DEFAULT_ACTUATOR`.
     """
 

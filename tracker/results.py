@@ -46,15 +46,24 @@ class AngleTable:
 
     Attributes
     ----------
-    time_s : (T,) seconds from the first frame
-    angle_deg, angle_sd_deg : (T,) degrees, NaN where unknown
-    flag : (T,) strings, values of `types.Flag`; "" is a sound row
-    xy : (T, K, 2) px of the full frame
-    likelihood : (T, K)
-    covariance : (T, K, 2, 2) px^2
-    keypoints : K names
-    definition : which angle; None if the file read (a CSV alone) does not say
-    provenance : JSON-ready: versions, video, detector, settings, warnings
+    time_s : ndarray of float
+        (T,) seconds from the first frame.
+    angle_deg, angle_sd_deg : ndarray of float
+        (T,) degrees, NaN where unknown.
+    flag : ndarray of str
+        (T,) values of `types.Flag`; "" is a sound row.
+    xy : ndarray of float
+        (T, K, 2) px of the full frame.
+    likelihood : ndarray of float
+        (T, K).
+    covariance : ndarray of float
+        (T, K, 2, 2) px^2.
+    keypoints : tuple of str
+        K names.
+    definition : AngleDefinition or None
+        Which angle; None if the file read (a CSV alone) does not say.
+    provenance : dict of str to Any
+        JSON-ready: versions, video, detector, settings, warnings.
     """
 
     time_s: FloatArray
@@ -111,7 +120,8 @@ def write_results(table: AngleTable, out_dir: str | Path, stem: str) -> tuple[Pa
 
     Returns
     -------
-    paths of the CSV, the HDF5 and the JSON
+    csv_path, h5_path, json_path : Path
+        The files written.
 
     Raises
     ------

@@ -56,13 +56,20 @@ def track(
 
     Parameters
     ----------
-    video : the video file
-    detector : finds keypoints in frames; a `VideoDetector` follows them through stretches of the video
-    definition : which angle, of which of the detector's keypoints
-    min_likelihood : a row with a keypoint of the angle below this is flagged `low_likelihood`
-    steady : whether a row whose neighbours say another angle is flagged `jump`
-    progress : called after each batch with the number of frames done and the number claimed by the file
-    video_sha256 : the file's hash where the caller knows it already
+    video : str or Path
+        The video file.
+    detector : Detector
+        Finds keypoints in frames; a `VideoDetector` follows them through stretches of the video.
+    definition : AngleDefinition
+        Which angle, of which of the detector's keypoints.
+    min_likelihood : float, optional
+        A row with a keypoint of the angle below this is flagged `low_likelihood`.
+    steady : bool, optional
+        Whether a row whose neighbours say another angle is flagged `jump`.
+    progress : Progress or None, optional
+        Called after each batch with the number of frames done and the number claimed by the file.
+    video_sha256 : str or None, optional
+        The file's hash where the caller knows it already.
 
     Returns
     -------

@@ -62,9 +62,12 @@ class Detections:
 
     Attributes
     ----------
-    xy : (N, K, 2) float64, px of the full frame
-    likelihood : (N, K) float64 in [0, 1]
-    covariance : (N, K, 2, 2) float64, px^2
+    xy : ndarray of float
+        (N, K, 2) float64, px of the full frame.
+    likelihood : ndarray of float
+        (N, K) float64 in [0, 1].
+    covariance : ndarray of float
+        (N, K, 2, 2) float64, px^2.
     """
 
     xy: FloatArray
@@ -128,11 +131,16 @@ class LabelledFrame:
 
     Attributes
     ----------
-    video : stem of the video it comes from (its folder in labeled-data/)
-    image_path : the extracted picture, an existing file
-    xy : (K, 2) float64 px, NaN where a keypoint is not labelled
-    actuator : which actuator it shows; labels of one actuator train and are judged together
-    frame : index of the frame in its video, None when the file name does not tell
+    video : str
+        Stem of the video it comes from (its folder in labeled-data/).
+    image_path : Path
+        The extracted picture, an existing file.
+    xy : ndarray of float
+        (K, 2) float64 px, NaN where a keypoint is not labelled.
+    actuator : str
+        Which actuator it shows; labels of one actuator train and are judged together.
+    frame : int or None
+        Index of the frame in its video, None when the file name does not tell.
     """
 
     video: str

@@ -45,11 +45,16 @@ class Frame:
 
     Attributes
     ----------
-    index : 0 for the first frame; frames that could not be decoded count
-    time_s : seconds from the first frame, from presentation times
-    decoded : the picture as the decoder gave it (mostly YUV, not turned); None if it could not be decoded
-    orientation : how `decoded` is turned to be displayed
-    damaged : decoded without error, but from a frame that could not be decoded
+    index : int
+        0 for the first frame; frames that could not be decoded count.
+    time_s : float
+        Seconds from the first frame, from presentation times.
+    decoded : VideoFrame or None
+        The picture as the decoder gave it (mostly YUV, not turned); None if it could not be decoded.
+    orientation : Orientation
+        How `decoded` is turned to be displayed.
+    damaged : bool
+        Decoded without error, but from a frame that could not be decoded.
     """
 
     index: int
@@ -76,19 +81,29 @@ class Video:
 
     Parameters
     ----------
-    path : the video file
-    threads : decoding threads; one decodes 640 x 480 H.264 at more than 1000 frames/s
+    path : str or Path
+        The video file.
+    threads : int, optional
+        Decoding threads; one decodes 640 x 480 H.264 at more than 1000 frames/s.
 
     Attributes
     ----------
     path : Path
-    size_wh : (width, height) in px as displayed
-    claimed_frames : number of frames according to the container, None where it does not say
-    frame_rate : mean frames/s according to the container, None where it does not say; for display only
-    codec : FFmpeg's name of the codec
-    rotation_deg : counterclockwise turn that the file asks for, and that is applied
-    warnings : what the user should know, a line each
-    complete : False when frames are missing, undecodable or damaged
+        The video file.
+    size_wh : tuple of (int, int)
+        Width and height as displayed, px.
+    claimed_frames : int or None
+        Number of frames according to the container, None where it does not say.
+    frame_rate : float or None
+        Mean frames/s according to the container, None where it does not say; for display only.
+    codec : str
+        FFmpeg's name of the codec.
+    rotation_deg : int
+        Counterclockwise turn that the file asks for and that is applied, degrees.
+    warnings : list of str
+        What the user should know, a line each.
+    complete : bool
+        False when frames are missing, undecodable or damaged.
 
     Raises
     ------

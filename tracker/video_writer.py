@@ -28,9 +28,12 @@ class VideoWriter:
 
     Parameters
     ----------
-    path : the mp4 to write or replace
-    size_wh : (width, height) of the images in px
-    frame_rate : frames/s, for images that come without a time and for players' information
+    path : str or Path
+        The mp4 to write or replace.
+    size_wh : tuple of (int, int)
+        (width, height) of the images in px.
+    frame_rate : float
+        frames/s, for images that come without a time and for players' information.
 
     Raises
     ------

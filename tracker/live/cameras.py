@@ -37,9 +37,12 @@ class CameraMode:
 
     Attributes
     ----------
-    size_wh : px
-    rate : frames/s
-    format : as FFmpeg calls it: many cameras are fast only in "mjpeg"
+    size_wh : tuple of (int, int) or None
+        px.
+    rate : float or None
+        frames/s.
+    format : str or None
+        As FFmpeg calls it: many cameras are fast only in "mjpeg".
     """
 
     size_wh: tuple[int, int] | None = None

@@ -37,11 +37,16 @@ class LiveSource(Protocol):
 
     Attributes
     ----------
-    name : for messages
-    size_wh : (width, height) px that the frames will most likely have
-    rate : frames/s that it promises, None where it does not
-    silence_s : a pause after which it counts as gone; None where a pause says nothing
-    warnings : what the user should know, a line each; whole once it has ended
+    name : str
+        For messages.
+    size_wh : tuple of (int, int)
+        (width, height) px that the frames will most likely have.
+    rate : float or None
+        frames/s that it promises, None where it does not.
+    silence_s : float or None
+        A pause after which it counts as gone; None where a pause says nothing.
+    warnings : list of str
+        What the user should know, a line each; whole once it has ended.
     """
 
     name: str
@@ -62,14 +67,22 @@ class LiveValue:
 
     Attributes
     ----------
-    frame : its number at the source, passed over ones counted
-    time_s : when it was captured, from the first frame
-    angle_deg, angle_sd_deg : degrees, NaN where unknown
-    likelihood : the lowest of the angle's keypoints, NaN where the frame could not be decoded
-    flag : as in an angle table
-    latency_ms : from capture to this value
-    passed_over_s : `time_s` of the frames passed over since the value before
-    found : the keypoints, N = 1
+    frame : int
+        Its number at the source, passed over ones counted.
+    time_s : float
+        When it was captured, from the first frame.
+    angle_deg, angle_sd_deg : float
+        Degrees, NaN where unknown.
+    likelihood : float
+        The lowest of the angle's keypoints, NaN where the frame could not be decoded.
+    flag : Flag
+        As in an angle table.
+    latency_ms : float
+        From capture to this value.
+    passed_over_s : tuple of float
+        `time_s` of the frames passed over since the value before.
+    found : Detections
+        The keypoints, N = 1.
     """
 
     frame: int
@@ -104,12 +117,18 @@ def measure_live(
 
     Parameters
     ----------
-    source : where the frames come from; read once
-    detector : finds keypoints in frames; a `VideoDetector` is asked for one of its own for this source
-    definition : which angle, of which of the detector's keypoints
-    min_likelihood : a value with a keypoint of the angle below this is flagged `low_likelihood`
-    duration_s : end after this time
-    stop : ends it when set
+    source : LiveSource
+        Where the frames come from; read once.
+    detector : Detector
+        Finds keypoints in frames; a `VideoDetector` is asked for one of its own for this source.
+    definition : AngleDefinition
+        Which angle, of which of the detector's keypoints.
+    min_likelihood : float, optional
+        A value with a keypoint of the angle below this is flagged `low_likelihood`.
+    duration_s : float or None, optional
+        End after this time.
+    stop : threading.Event or None, optional
+        Ends it when set.
 
     Yields
     ------

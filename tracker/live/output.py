@@ -38,7 +38,8 @@ class UdpTarget:
 
     Parameters
     ----------
-    address : HOST:PORT, an IPv6 host in brackets
+    address : str
+        HOST:PORT, an IPv6 host in brackets.
 
     Raises
     ------

@@ -20,8 +20,10 @@ class Recording:
 
     Parameters
     ----------
-    keypoints : names, in the order of the detector's arrays
-    definition : which angle was measured
+    keypoints : sequence of str
+        Names, in the order of the detector's arrays.
+    definition : AngleDefinition
+        Which angle was measured.
     """
 
     def __init__(self, keypoints: Sequence[str], definition: AngleDefinition) -> None:
@@ -52,8 +54,10 @@ class Recording:
 
         Parameters
         ----------
-        source : what was filmed with
-        settings : as `tracking.tracking_settings` gives them
+        source : str
+            What was filmed with.
+        settings : mapping of str to Any
+            As `tracking.tracking_settings` gives them.
         """
         t, k = len(self._flag), len(self._keypoints)
         rows = np.array(self._numbers).reshape(t, 3 + 7 * k)

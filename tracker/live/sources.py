@@ -36,8 +36,10 @@ def open_source(wanted: str | None, mode: CameraMode | None = None) -> LiveSourc
 
     Parameters
     ----------
-    wanted : path of a video, URL, a camera's number, device or name; None takes the first camera
-    mode : how a camera is to run; only cameras can be told
+    wanted : str or None
+        Path of a video, URL, a camera's number, device or name; None takes the first camera.
+    mode : CameraMode or None, optional
+        How a camera is to run; only cameras can be told.
 
     Raises
     ------

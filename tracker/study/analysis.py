@@ -46,19 +46,32 @@ class StudyResults:
 
     Attributes
     ----------
-    cycles : one row a complete cycle of a dynamic trial; `used`, and the `reason` where it is not
-    dynamic : one row a dynamic trial
-    static_steps : one row a stair
-    static : one row a static trial: model against measurement
-    control : one row a trial with a reference wave: tracking error of the pressure
-    constant_angle : hysteresis ratio of each design and of the baseline at one angle, or why it is refused
-    improvements : each design against the baseline, dynamic response at each pressure and ratio at each angle
-    ranking : designs from best to worst under each condition; `apart_from_next` after Holm's correction
-    pairwise : every difference of two designs; `p_holm` corrects for all pairs under the same condition
-    loops : (N, 2) kPa and deg of every cycle that could be measured, by trial
-    warnings : columns trial, warning
-    confidence : of all intervals
-    baseline : the design that improvements refer to, or None
+    cycles : DataFrame
+        One row a complete cycle of a dynamic trial; `used`, and the `reason` where it is not.
+    dynamic : DataFrame
+        One row a dynamic trial.
+    static_steps : DataFrame
+        One row a stair.
+    static : DataFrame
+        One row a static trial: model against measurement.
+    control : DataFrame
+        One row a trial with a reference wave: tracking error of the pressure.
+    constant_angle : DataFrame
+        Hysteresis ratio of each design and of the baseline at one angle, or why it is refused.
+    improvements : DataFrame
+        Each design against the baseline, dynamic response at each pressure and ratio at each angle.
+    ranking : DataFrame
+        Designs from best to worst under each condition; `apart_from_next` after Holm's correction.
+    pairwise : DataFrame
+        Every difference of two designs; `p_holm` corrects for all pairs under the same condition.
+    loops : dict of str to list of ndarray of float
+        (N, 2) kPa and deg of every cycle that could be measured, by trial.
+    warnings : DataFrame
+        Columns trial, warning.
+    confidence : float
+        Of all intervals.
+    baseline : str or None
+        The design that improvements refer to, or None.
     """
 
     cycles: pd.DataFrame
@@ -87,10 +100,14 @@ def analyse_study(
 
     Parameters
     ----------
-    trials : each is used once and not kept
-    baseline : design that the improvements refer to; None for no improvements
-    confidence : of the intervals, between 0 and 1
-    angles_deg : where hysteresis ratios are compared; None for the multiples of 5 degrees that both designs reach
+    trials : iterable of TrialData
+        Each is used once and not kept.
+    baseline : str or None
+        Design that the improvements refer to; None for no improvements.
+    confidence : float, optional
+        Of the intervals, between 0 and 1.
+    angles_deg : sequence of float or None, optional
+        Where hysteresis ratios are compared; None for the multiples of 5 degrees that both designs reach.
 
     Raises
     ------

@@ -28,10 +28,14 @@ class Angles:
 
     Attributes
     ----------
-    time_s : (T,) rising
-    angle_deg, angle_sd_deg : (T,) NaN in gaps; the sd also where a table does not say
-    warnings : a line each
-    provenance : JSON-ready
+    time_s : ndarray of float
+        (T,) rising.
+    angle_deg, angle_sd_deg : ndarray of float
+        (T,) NaN in gaps; the sd also where a table does not say.
+    warnings : tuple of str
+        A line each.
+    provenance : dict of str to Any
+        JSON-ready.
     """
 
     time_s: FloatArray

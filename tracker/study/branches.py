@@ -35,9 +35,12 @@ class TurningAngle:
 
     Attributes
     ----------
-    deg : (C,) of each cycle; NaN where a branch has too few frames near the turn
-    common_sd_deg : standard uncertainty that all of them share, because they share a lag and a turning pressure
-    misfit_deg : how far off the frames the branches lie where none describes them (RMS); else 0
+    deg : ndarray of float
+        (C,) of each cycle; NaN where a branch has too few frames near the turn.
+    common_sd_deg : float
+        Standard uncertainty that all of them share, because they share a lag and a turning pressure.
+    misfit_deg : float
+        How far off the frames the branches lie where none describes them (RMS); else 0.
     """
 
     deg: FloatArray
@@ -65,9 +68,12 @@ def turning_angle(
 
     Parameters
     ----------
-    time_s, angle_deg, pressure_kpa, rate_kpa_s : (T,) frames; NaN where missing
-    turning : the turns of this kind
-    bounds_s : (C, 2) from which time to which the frames belong to each turn
+    time_s, angle_deg, pressure_kpa, rate_kpa_s : ndarray of float
+        (T,) frames; NaN where missing.
+    turning : TurningPressure
+        The turns of this kind.
+    bounds_s : ndarray of float
+        (C, 2) from which time to which the frames belong to each turn.
     """
     known = np.isfinite(angle_deg) & np.isfinite(pressure_kpa) & np.isfinite(rate_kpa_s)
     frames = (time_s[known], angle_deg[known], pressure_kpa[known], rate_kpa_s[known])
@@ -129,10 +135,14 @@ class _Fit:
 
     Attributes
     ----------
-    coefficients : (C, parameters) of the branches
-    by_common : (C, 2) derivatives of the angle where they meet by lag and corner
-    residual : (C, N) of the frames
-    left : (C, N, 2) what lag and corner do to the frames and the branches cannot follow
+    coefficients : ndarray of float
+        (C, parameters) of the branches.
+    by_common : ndarray of float
+        (C, 2) derivatives of the angle where they meet by lag and corner.
+    residual : ndarray of float
+        (C, N) of the frames.
+    left : ndarray of float
+        (C, N, 2) what lag and corner do to the frames and the branches cannot follow.
     """
 
     coefficients: FloatArray

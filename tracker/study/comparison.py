@@ -95,8 +95,10 @@ def ratio_at_angle(points: Sequence[TrialPoint], angle_deg: float) -> tuple[Esti
 
     Returns
     -------
-    ratio : NaN where refused
-    refused : the reason, empty where the ratio is given
+    ratio : Estimate
+        NaN where refused.
+    refused : str
+        The reason, empty where the ratio is given.
     """
     nodes = sorted(_nodes(points), key=lambda node: node[0].value)
     if not nodes:

@@ -29,11 +29,16 @@ class TurningPressure:
 
     Attributes
     ----------
-    turn_s, kpa : (C,) when it turns, and its pressure there
-    common_sd_kpa : standard uncertainty that all of `kpa` share, from the curve that they share
-    curve_s, curve_kpa : (G,) the curve: time after the turn, pressure less that of the turn
-    blind_s : time around a turn in which the log is too coarse to tell the pressure; 0 with a curve
-    unseen_kpa : what the corner may have between two readings of a coarse log, and no angle can tell; else 0
+    turn_s, kpa : ndarray of float
+        (C,) when it turns, and its pressure there.
+    common_sd_kpa : float
+        Standard uncertainty that all of `kpa` share, from the curve that they share.
+    curve_s, curve_kpa : ndarray of float
+        (G,) the curve: time after the turn, pressure less that of the turn.
+    blind_s : float
+        Time around a turn in which the log is too coarse to tell the pressure; 0 with a curve.
+    unseen_kpa : float
+        What the corner may have between two readings of a coarse log, and no angle can tell; else 0.
     """
 
     turn_s: FloatArray
@@ -61,9 +66,12 @@ def turning_pressure(
 
     Parameters
     ----------
-    time_s, pressure_kpa : (M,) the log as recorded, NaN where missing
-    turns_s : (C,) roughly when it turns
-    period_s : of the cycles
+    time_s, pressure_kpa : ndarray of float
+        (M,) the log as recorded, NaN where missing.
+    turns_s : ndarray of float
+        (C,) roughly when it turns.
+    period_s : float
+        Of the cycles.
     """
     known = np.isfinite(pressure_kpa)
     time_s, pressure_kpa = time_s[known], pressure_kpa[known]

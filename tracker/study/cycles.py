@@ -36,11 +36,16 @@ class CycleTrain:
 
     Attributes
     ----------
-    start_s, turn_s, end_s : (C,) beginning, moment of the largest pressure (middle of a plateau), end
-    low_kpa, high_kpa : (C,) pressure where the cycle ends, and at its top (rough: good to the noise)
-    irregular : (C,) why a complete cycle does not belong with the others; empty where it does
-    incomplete : one sentence for each part of the record that is no whole cycle
-    warnings : one sentence each
+    start_s, turn_s, end_s : ndarray of float
+        (C,) beginning, moment of the largest pressure (middle of a plateau), end.
+    low_kpa, high_kpa : ndarray of float
+        (C,) pressure where the cycle ends, and at its top (rough: good to the noise).
+    irregular : tuple of str
+        (C,) why a complete cycle does not belong with the others; empty where it does.
+    incomplete : tuple of str
+        One sentence for each part of the record that is no whole cycle.
+    warnings : tuple of str
+        One sentence each.
     """
 
     start_s: FloatArray
@@ -76,8 +81,10 @@ def find_cycles(time_s: FloatArray, pressure_kpa: FloatArray) -> CycleTrain:
 
     Parameters
     ----------
-    time_s : (M,) rising
-    pressure_kpa : (M,) any rate and wave; NaN where missing
+    time_s : ndarray of float
+        (M,) rising.
+    pressure_kpa : ndarray of float
+        (M,) any rate and wave; NaN where missing.
 
     Returns
     -------

@@ -64,18 +64,28 @@ class DynamicNumbers:
 
     Attributes
     ----------
-    cycles : one entry a complete cycle
-    loops : (N, 2) kPa and deg of each cycle that is used, and of a first one that is set apart
-    cycles_used : their numbers
-    first_cycle_apart : the first cycle differs from the others and is left out
-    period_s, amplitude_kpa, phase_s : of the pressure wave
-    largest_pressure_kpa, dynamic_response_deg : sides of the paper's rectangle
-    ratio_per_frame_shift : what the ratio gains if every angle gets the pressure of one frame later (a delay that
-        is one frame less)
-    repeatability_deg : RMS over both branches of the spread (sd) between cycles of the angle at one pressure; noise
-        of a frame is part of it
-    repeatability_hysteresis : spread (sd) of the cycles' areas over their mean
-    largest_angle_drift_deg, residual_angle_drift_deg : slope over the cycles, deg per cycle
+    cycles : tuple of CycleNumbers
+        One entry a complete cycle.
+    loops : tuple of ndarray of float
+        (N, 2) kPa and deg of each cycle that is used, and of a first one that is set apart.
+    cycles_used : tuple of int
+        Their numbers.
+    first_cycle_apart : bool
+        The first cycle differs from the others and is left out.
+    period_s, amplitude_kpa, phase_s : float
+        Of the pressure wave.
+    largest_pressure_kpa, dynamic_response_deg : Estimate
+        Sides of the paper's rectangle.
+    ratio_per_frame_shift : float
+        What the ratio gains if every angle gets the pressure of one frame later (a delay that
+        is one frame less).
+    repeatability_deg : float
+        RMS over both branches of the spread (sd) between cycles of the angle at one pressure; noise
+        of a frame is part of it.
+    repeatability_hysteresis : float
+        Spread (sd) of the cycles' areas over their mean.
+    largest_angle_drift_deg, residual_angle_drift_deg : Estimate
+        Slope over the cycles, deg per cycle.
     """
 
     cycles: tuple[CycleNumbers, ...]

@@ -50,8 +50,10 @@ def mid_pressure_width_deg(up: FloatArray, down: FloatArray, low_kpa: float, hig
 
     Parameters
     ----------
-    up, down : (N, 2) the two branches
-    low_kpa, high_kpa : of the cycle
+    up, down : ndarray of float
+        (N, 2) the two branches.
+    low_kpa, high_kpa : float
+        Of the cycle.
 
     Returns
     -------

@@ -26,10 +26,14 @@ class OrderedClock:
 
     Attributes
     ----------
-    rows : (M,) which rows to take, in this order, so that times rise
-    time_s : (M,) of those
-    tick_s : what the times are rounded to where that is coarser than a sample, else 0
-    warnings : a line each
+    rows : ndarray of int
+        (M,) which rows to take, in this order, so that times rise.
+    time_s : ndarray of float
+        (M,) of those.
+    tick_s : float
+        What the times are rounded to where that is coarser than a sample, else 0.
+    warnings : tuple of str
+        A line each.
     """
 
     rows: NDArray[np.intp]
@@ -41,14 +45,16 @@ class OrderedClock:
 def order_clock(time_s: FloatArray, value: FloatArray) -> OrderedClock:
     """Times that rise, from times as they were written.
 
-    Parameters
-    ----------
-    time_s : (N,) s, NaN where unreadable
-    value : (N,) what was measured, by which a clock that jumped is told from samples that are missing
-
     A log wholly in reverse is turned; rows swapped here and there are sorted; of rows with the same time the first is
     kept. Where the clock was set back or forward, or the log begun anew, the times on the two sides do
     not belong together: the longest side is kept. Gaps stay gaps.
+
+    Parameters
+    ----------
+    time_s : ndarray of float
+        (N,) s, NaN where unreadable.
+    value : ndarray of float
+        (N,) what was measured; it distinguishes a clock that jumped from samples that are missing.
     """
     warnings: list[str] = []
     rows = np.flatnonzero(np.isfinite(time_s))

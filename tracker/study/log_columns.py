@@ -30,12 +30,18 @@ class LogColumn:
 
     Attributes
     ----------
-    name : as in the file, without its unit
-    unit : as `units.split_unit` gives it
-    values : (M,) NaN where a cell is empty or no number
-    is_clock : the values are seconds since 1970 (or since midnight), read from written dates or times of day
-    time : the clock that belongs to this column alone, where the file says so (MATLAB structures)
-    number : its place in the file, from 1
+    name : str
+        As in the file, without its unit.
+    unit : str or None
+        As `units.split_unit` gives it.
+    values : ndarray of float
+        (M,) NaN where a cell is empty or no number.
+    is_clock : bool
+        The values are seconds since 1970 (or since midnight), read from written dates or times of day.
+    time : LogColumn or None
+        The clock that belongs to this column alone, where the file says so (MATLAB structures).
+    number : int
+        Its place in the file, from 1.
     """
 
     name: str

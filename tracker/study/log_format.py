@@ -18,12 +18,18 @@ class LogFormat(Section):
 
     Attributes
     ----------
-    time_column, pressure_column, reference_column, sync_column : a column's name, or its number from 1
-    time_unit, pressure_unit : where the header does not say
-    rate_hz : samples a second, for a log without times
-    gain_kpa_per_v : of a sensor whose voltage was logged
-    offset_kpa : added to the pressure after its unit (and to a reference from the same sensor's scale)
-    lag_s : how late the logged pressure is, by a filter before the log; taken off its times
+    time_column, pressure_column, reference_column, sync_column : int or str or None
+        A column's name, or its number from 1.
+    time_unit, pressure_unit : str or None
+        Where the header does not say.
+    rate_hz : float or None
+        Samples a second, for a log without times.
+    gain_kpa_per_v : float or None
+        Of a sensor whose voltage was logged.
+    offset_kpa : float
+        Added to the pressure after its unit (and to a reference from the same sensor's scale).
+    lag_s : float
+        How late the logged pressure is, by a filter before the log; taken off its times.
     """
 
     time_column: ColumnChoice | None = None

@@ -42,14 +42,24 @@ class MeasuredCycles:
 
     Attributes
     ----------
-    train : where they are
-    coverage, refusals : (C,) frames of each, and why it cannot be used (empty where it can)
-    tops, feet : pressure where each turns, and where it ends
-    largest, residual : angle there
-    loops : (C,) arrays (N, 2) kPa and deg, ends interpolated, gaps bridged
-    frame_noise_deg : of one frame's angle
-    areas_deg_kpa, widths_deg : (C,) cumulative hysteresis, and width at mid pressure
-    area_by_shift, width_by_shift : (C,) what they gain per second by which the pressure is taken later
+    train : CycleTrain
+        Where they are.
+    coverage : tuple of Coverage
+        (C,) frames in each cycle.
+    refusals : tuple of str
+        (C,) why each cycle cannot be used; empty where it can.
+    tops, feet : TurningPressure
+        Pressure where each turns, and where it ends.
+    largest, residual : TurningAngle
+        Angle there.
+    loops : tuple of ndarray of float
+        (C,) arrays (N, 2) kPa and deg, ends interpolated, gaps bridged.
+    frame_noise_deg : float
+        Of one frame's angle.
+    areas_deg_kpa, widths_deg : ndarray of float
+        (C,) cumulative hysteresis, and width at mid pressure.
+    area_by_shift, width_by_shift : ndarray of float
+        (C,) what they gain per second by which the pressure is taken later.
     """
 
     train: CycleTrain

@@ -41,8 +41,10 @@ def rising_edges(time_s: FloatArray, value: FloatArray, where: str) -> list[Onse
 
     Parameters
     ----------
-    time_s, value : (M,) rising times, s; NaN values are left out
-    where : opens the message
+    time_s, value : ndarray of float
+        (M,) rising times, s; NaN values are left out.
+    where : str
+        Opens the message.
 
     Raises
     ------
@@ -70,8 +72,10 @@ def leaving_rest(time_s: FloatArray, value: FloatArray, where: str) -> Onset:
 
     Parameters
     ----------
-    time_s, value : (M,) rising times, s; NaN values are left out
-    where : opens the message
+    time_s, value : ndarray of float
+        (M,) rising times, s; NaN values are left out.
+    where : str
+        Opens the message.
 
     Raises
     ------

@@ -35,10 +35,14 @@ class PaperTable:
 
     Attributes
     ----------
-    name : of its file, and of its label in LaTeX
-    caption, note : above and below
-    rows : one text a column
-    grouped : rows with the same first cell belong together, a line stands between groups
+    name : str
+        Of its file, and of its label in LaTeX.
+    caption, note : str
+        Above and below.
+    rows : tuple of tuple of str
+        One text a column.
+    grouped : bool
+        Rows with the same first cell belong together, a line stands between groups.
     """
 
     name: str
@@ -54,7 +58,8 @@ def paper_tables(results: StudyResults, labels: Mapping[str, str]) -> list[Paper
 
     Parameters
     ----------
-    labels : what a design is called, by its name
+    labels : mapping of str to str
+        What a design is called, by its name.
     """
     tables = [
         _constant_angle(results, labels),

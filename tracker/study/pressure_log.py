@@ -39,15 +39,24 @@ class PressureLog:
 
     Attributes
     ----------
-    time_s : (M,) rising; where dates were logged, from the first sample
-    pressure_kpa : (M,) NaN where the log has none
-    reference_kpa : (M,) the wave that was asked for, if the log holds it
-    sync : (M,) the sync channel as logged, if there is one
-    started_s : seconds since 1970 (UTC, or of a clock without zone) of time 0, where dates were logged
-    time_sd_s : uncertainty that the log's own clock adds (a clock that ticks coarsely)
-    saturated : (M,) samples held at an end of the sensor's range; None: there are none
-    warnings : a line each
-    provenance : JSON-ready: file, hash, columns, units, rate
+    time_s : ndarray of float
+        (M,) rising; where dates were logged, from the first sample.
+    pressure_kpa : ndarray of float
+        (M,) NaN where the log has none.
+    reference_kpa : ndarray of float or None
+        (M,) the wave that was asked for, if the log holds it.
+    sync : ndarray of float or None
+        (M,) the sync channel as logged, if there is one.
+    started_s : float or None
+        Seconds since 1970 (UTC, or of a clock without zone) of time 0, where dates were logged.
+    time_sd_s : float
+        Uncertainty that the log's own clock adds (a clock that ticks coarsely).
+    saturated : ndarray of bool or None
+        (M,) samples held at an end of the sensor's range; None: there are none.
+    warnings : tuple of str
+        A line each.
+    provenance : mapping of str to Any
+        JSON-ready: file, hash, columns, units, rate.
     """
 
     time_s: FloatArray

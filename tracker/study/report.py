@@ -74,13 +74,16 @@ def write_report(
 
     Parameters
     ----------
-    trials : those that `results` come from
-    workers : processes that draw the trials' own figures beside this one; 0 for none. Each starts a Python of its
+    trials : sequence of TrialData
+        Those that `results` come from.
+    workers : int, optional
+        Processes that draw the trials' own figures beside this one; 0 for none. Each starts a Python of its
         own, so a script that asks for them needs the usual `if __name__ == "__main__":`.
 
     Returns
     -------
-    report.html
+    Path
+        report.html.
 
     Raises
     ------

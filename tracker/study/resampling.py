@@ -28,14 +28,18 @@ def pressure_at_frames(
 
     Parameters
     ----------
-    frame_time_s : (T,) rising, s
-    log_time_s, log_pressure_kpa : (M,) rising times on the same clock, s, and kPa; NaN pressures are missing samples
+    frame_time_s : ndarray of float
+        (T,) rising, s.
+    log_time_s, log_pressure_kpa : ndarray of float
+        (M,) rising times on the same clock, s, and kPa; NaN pressures are missing samples.
 
     Returns
     -------
-    pressure_kpa : (T,) NaN for frames before or after the log or in a gap of it. Where the log has fewer samples
+    pressure_kpa : ndarray of float
+        (T,) NaN for frames before or after the log or in a gap of it. Where the log has fewer samples
         than there are frames, or they are uneven, the line goes through the two samples on the frame's sides.
-    rate_kpa_s : (T,) slope of that pressure from frame to frame, kPa/s
+    rate_kpa_s : ndarray of float
+        (T,) slope of that pressure from frame to frame, kPa/s.
     """
     known = np.isfinite(log_pressure_kpa)
     log_time_s, log_pressure_kpa = log_time_s[known], log_pressure_kpa[known]

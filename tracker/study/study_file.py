@@ -48,13 +48,22 @@ class SyncSettings(Section):
 
     Attributes
     ----------
-    method : "shared clock" (both count from the same moment), "given delay", "sync event"
-    delay_s, sd_s : video time = log time + delay_s, with its standard uncertainty; sd_s also adds to the others
-    video_start : when the video's first frame was taken, for a shared clock where the log holds dates
-    log_event : the event in the log: "sync" (first rising edge of its sync column) or "pressure" (its onset)
-    video_event : the event in the video: "led" (a lamp goes on in led_region_px) or "angle" (its onset)
-    led_region_px : x, y, width, height in px of the region where the lamp is seen
-    log_window_s, video_window_s : where to look for the event, on each one's own clock
+    method : {'shared clock', 'given delay', 'sync event'}
+        "shared clock": both count from the same moment.
+    delay_s : float or None
+        For "given delay": video time = log time + delay_s.
+    sd_s : float
+        Standard uncertainty of that delay, s; with the other methods it is added to their own.
+    video_start : datetime or None
+        When the video's first frame was taken, for a shared clock where the log holds dates.
+    log_event : {'sync', 'pressure'}
+        The event in the log: "sync" (first rising edge of its sync column) or "pressure" (its onset).
+    video_event : {'led', 'angle'}
+        The event in the video: "led" (a lamp goes on in led_region_px) or "angle" (its onset).
+    led_region_px : tuple of (int, int, int, int) or None
+        X, y, width, height in px of the region where the lamp is seen.
+    log_window_s, video_window_s : tuple of (float, float) or None
+        Where to look for the event, on each one's own clock.
     """
 
     method: Literal["shared clock", "given delay", "sync event"] = "shared clock"
@@ -168,12 +177,26 @@ class TrialSettings:
 
     Attributes
     ----------
-    name, design, kind : see `trial.TrialData`
-    frequency_hz, pressure_pp_kpa : nominal
-    angles : angle table; None where it is looked up by `video` in the results
-    video, log, reference, model : files; `reference` and `model` are None where there is none
-    log_format, sync : how the log is read, how the clocks are brought together
-    angle_common_sd_deg : standard uncertainty that all angles of the trial share
+    name, design : str
+        As in `trial.TrialData`.
+    kind : Kind
+        Static or dynamic.
+    frequency_hz, pressure_pp_kpa : float or None
+        Nominal.
+    angles : Path or None
+        Angle table; None where it is looked up by `video` in the results.
+    video : Path or None
+        Video file.
+    log : Path
+        Pressure log.
+    reference, model : Path or None
+        Files of the reference wave and of the model curve; None where there is none.
+    log_format : LogFormat
+        How the log is read.
+    sync : SyncSettings
+        How the log's clock is brought to the video's.
+    angle_common_sd_deg : float
+        Standard uncertainty that all angles of the trial share.
     """
 
     name: str
@@ -197,14 +220,23 @@ class Study:
 
     Attributes
     ----------
-    path : the file
-    title : of the report
-    baseline : the design that the others are compared with; None where the file names none and there is no "original"
-    designs : by name, in the order of the file
-    trials : in the order of the file
-    results : folder of angle tables, in which a trial's video is looked up
-    keep_flagged : flags (see `types.Flag`) of rows whose angle is used all the same; other flagged rows are gaps
-    compare_angles_deg : where hysteresis ratios of designs are compared; empty leaves it to the analysis
+    path : Path
+        The file.
+    title : str
+        Of the report.
+    baseline : str or None
+        The design that the others are compared with; None where the file names none and there is no
+        "original".
+    designs : dict of str to DesignSettings
+        By name, in the order of the file.
+    trials : tuple of TrialSettings
+        In the order of the file.
+    results : Path or None
+        Folder of angle tables, in which a trial's video is looked up.
+    keep_flagged : tuple of str
+        Flags (see `types.Flag`) of rows whose angle is used all the same; other flagged rows are gaps.
+    compare_angles_deg : tuple of float
+        Where hysteresis ratios of designs are compared; empty leaves it to the analysis.
     """
 
     path: Path

@@ -48,11 +48,16 @@ def synchronise(
 
     Parameters
     ----------
-    settings : from the study file
-    log : on its own clock
-    time_s, angle_deg : (T,) of the video, NaN where the angle is missing
-    video : the file, looked into for a lamp only
-    where : opens messages
+    settings : SyncSettings
+        From the study file.
+    log : PressureLog
+        On its own clock.
+    time_s, angle_deg : ndarray of float
+        (T,) of the video, NaN where the angle is missing.
+    video : Path or None
+        The file, looked into for a lamp only.
+    where : str
+        Opens messages.
 
     Raises
     ------
@@ -84,8 +89,10 @@ def led_brightness(
 
     Parameters
     ----------
-    region_px : x, y, width, height; of the picture as displayed
-    window_s : frames within it only
+    region_px : tuple of (int, int, int, int)
+        X, y, width, height; of the picture as displayed.
+    window_s : tuple of (float, float) or None, optional
+        Frames within it only.
 
     Raises
     ------

@@ -28,9 +28,12 @@ class Shift:
 
     Attributes
     ----------
-    delay_s : s
-    sd_s : standard uncertainty of the delay, s
-    method : "shared clock", "given delay" or "sync event"
+    delay_s : float
+        How much later the video's clock is than the log's, s.
+    sd_s : float
+        Standard uncertainty of the delay, s.
+    method : str
+        "shared clock", "given delay" or "sync event".
     """
 
     delay_s: float
@@ -44,21 +47,36 @@ class TrialData:
 
     Attributes
     ----------
-    name, design : as the study file names them
-    kind : static or dynamic
-    frequency_hz, pressure_pp_kpa : nominal, from the study file; None where not given
-    time_s : (T,) the frames' times, rising
-    angle_deg, angle_sd_deg : (T,) NaN where a frame gives no angle; the sd is one frame's
-    pressure_kpa : (T,) pressure at the frames' times, NaN in the log's gaps
-    pressure_rate_kpa_s : (T,) slope of the filtered pressure at the frames' times
-    log_time_s, log_pressure_kpa : (M,) the log as recorded, its times on the video's clock
-    log_reference_kpa : (M,) the reference wave at the log's times, if there is one
-    model_pressure_kpa, model_angle_deg : (S,) the model (FEM) curve, if there is one
-    shift : how the two clocks were brought together
-    warnings : one sentence each, from reading the trial
-    provenance : JSON-ready, where the data came from
-    angle_common_sd_deg : standard uncertainty that all angles of the trial share (a label's offset, say)
-    saturated_s : times at which the pressure sensor stood at an end of its range
+    name, design : str
+        As the study file names them.
+    kind : Kind
+        Static or dynamic.
+    frequency_hz, pressure_pp_kpa : float or None
+        Nominal, from the study file; None where not given.
+    time_s : ndarray of float
+        (T,) the frames' times, rising.
+    angle_deg, angle_sd_deg : ndarray of float
+        (T,) NaN where a frame gives no angle; the sd is one frame's.
+    pressure_kpa : ndarray of float
+        (T,) pressure at the frames' times, NaN in the log's gaps.
+    pressure_rate_kpa_s : ndarray of float
+        (T,) slope of the filtered pressure at the frames' times.
+    log_time_s, log_pressure_kpa : ndarray of float
+        (M,) the log as recorded, its times on the video's clock.
+    log_reference_kpa : ndarray of float or None
+        (M,) the reference wave at the log's times, if there is one.
+    model_pressure_kpa, model_angle_deg : ndarray of float or None
+        (S,) the model (FEM) curve, if there is one.
+    shift : Shift
+        How the two clocks were brought together.
+    warnings : tuple of str
+        One sentence each, from reading the trial.
+    provenance : mapping of str to Any
+        JSON-ready, where the data came from.
+    angle_common_sd_deg : float
+        Standard uncertainty that all angles of the trial share (a label's offset, say).
+    saturated_s : ndarray of float
+        Times at which the pressure sensor stood at an end of its range.
     """
 
     name: str

@@ -61,12 +61,17 @@ def known_unit(text: str) -> str | None:
 def split_unit(header: str) -> tuple[str, str | None]:
     """Name and unit of a column's header: "P [kPa]", "Pressure (psi)", "pressure_psi", "time / s", "kPa".
 
+    Without brackets, only a time has a unit of time: a "P_d" is no pressure in days.
+
     Returns
     -------
-    The name without its unit, and the unit as `known_unit` spells it; what stands in brackets and is no unit
-    that is known is given as it came. Without brackets, only a time has a unit of time: a "P_d" is no pressure in
-    days.
+    name : str
+        The header without its unit.
+    unit : str or None
+        As `known_unit` spells it; text in brackets that is no known unit is returned unchanged.
 
+    Examples
+    --------
     >>> [split_unit(h) for h in ("P [kPa]", "pressure_psi", "time / s", "P (apples)", "P_d", "kPa")]
     [('P', 'kPa'), ('pressure', 'psi'), ('time', 's'), ('P', 'apples'), ('P_d', None), ('kPa', 'kPa')]
     """

@@ -22,7 +22,8 @@ def bars_figure(dynamic: pd.DataFrame, looks: Mapping[str, Look]) -> Figure:
 
     Parameters
     ----------
-    dynamic : one row a trial, with design, frequency_hz, pressure_pp_kpa, and each metric with its _low, _high
+    dynamic : DataFrame
+        One row a trial, with design, frequency_hz, pressure_pp_kpa, and each metric with its _low, _high.
     """
     frequencies = sorted(dynamic["frequency_hz"].dropna().unique())
     with house_style():

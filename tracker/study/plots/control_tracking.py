@@ -32,8 +32,10 @@ def control_figure(trials: Sequence[TrialData], rmse_kpa: Sequence[float]) -> Fi
 
     Parameters
     ----------
-    trials : with a reference; those without are a caller's mistake
-    rmse_kpa : of each, over the whole trial
+    trials : sequence of TrialData
+        With a reference; those without are a caller's mistake.
+    rmse_kpa : sequence of float
+        Of each, over the whole trial.
     """
     with house_style():
         figure = new_figure(PAGE_MM, 70)

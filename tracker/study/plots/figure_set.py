@@ -45,10 +45,14 @@ class WrittenFigure:
 
     Attributes
     ----------
-    name : of the file, without its ending, relative to the figures' folder
-    caption : what it shows
-    png : a smaller picture for a screen
-    narrow : as wide as a column, not the page
+    name : str
+        Of the file, without its ending, relative to the figures' folder.
+    caption : str
+        What it shows.
+    png : bytes
+        A smaller picture for a screen.
+    narrow : bool
+        As wide as a column, not the page.
     """
 
     name: str

@@ -35,10 +35,14 @@ def leaf_figure(
 
     Parameters
     ----------
-    loops : (N, 2) of each cycle used, pressure in kPa and angle in degrees, in the order of time
-    largest_pressure_kpa, largest_angle_deg : sides of the rectangle; none is drawn where one is NaN
-    apart : cycles that the numbers leave out, drawn in grey
-    note : what is written inside the rectangle, such as the ratio
+    loops : sequence of ndarray of float
+        (N, 2) of each cycle used, pressure in kPa and angle in degrees, in the order of time.
+    largest_pressure_kpa, largest_angle_deg : float
+        Sides of the rectangle; none is drawn where one is NaN.
+    apart : sequence of ndarray of float, optional
+        Cycles that the numbers leave out, drawn in grey.
+    note : str, optional
+        What is written inside the rectangle, such as the ratio.
     """
     with house_style():
         figure = new_figure(COLUMN_MM, 74)

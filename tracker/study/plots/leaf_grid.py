@@ -27,8 +27,10 @@ def leaf_grid_figure(
 
     Parameters
     ----------
-    dynamic : one row a trial, with trial, design, frequency_hz and pressure_pp_kpa
-    loops : (N, 2) of each cycle used, pressure in kPa and angle in degrees, by trial
+    dynamic : DataFrame
+        One row a trial, with trial, design, frequency_hz and pressure_pp_kpa.
+    loops : mapping of str to sequence of ndarray of float
+        (N, 2) of each cycle used, pressure in kPa and angle in degrees, by trial.
     """
     shown = dynamic[[len(loops.get(name, ())) > 0 for name in dynamic["trial"]]]
     frequencies = sorted(shown["frequency_hz"].unique())

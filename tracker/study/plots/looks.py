@@ -30,10 +30,16 @@ class Look:
 
     Attributes
     ----------
-    label : its name in legends
-    colour : as the study file gives it, hex
-    edge : the same, darker
-    marker, line : matplotlib's, told apart without colour
+    label : str
+        Its name in legends.
+    colour : str
+        As the study file gives it, hex.
+    edge : str
+        The same, darker.
+    marker : str
+        Matplotlib's marker.
+    line : str or tuple
+        Matplotlib's line style.
     """
 
     label: str

@@ -93,7 +93,8 @@ def save_figure(figure: Figure, stem: str | Path) -> Image.Image:
 
     Returns
     -------
-    The picture as it is in the PNG.
+    Image.Image
+        The picture as it is in the PNG.
 
     Raises
     ------
@@ -147,11 +148,13 @@ def as_drawn(time_s: FloatArray, values: FloatArray, n_columns: int) -> tuple[Fl
 
     Parameters
     ----------
-    time_s, values : (N,)
+    time_s, values : ndarray of float
+        (N,).
 
     Returns
     -------
-    time_s, values : (at most 2 `n_columns`,) or the input when it is not denser than that
+    time_s, values : ndarray of float
+        (at most 2 `n_columns`,) or the input when it is not denser than that.
     """
     step = len(values) // n_columns
     if step < 4:

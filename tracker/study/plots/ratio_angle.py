@@ -21,9 +21,11 @@ def ratio_angle_figure(dynamic: pd.DataFrame, comparisons: pd.DataFrame, looks: 
 
     Parameters
     ----------
-    dynamic : one row a trial, with design, frequency_hz, dynamic_response_deg, hysteresis_ratio, _low and _high
-    comparisons : at most one row a frequency, with frequency_hz, angle_deg, baseline, design, baseline_ratio,
-        design_ratio, improvement (a share)
+    dynamic : DataFrame
+        One row a trial, with design, frequency_hz, dynamic_response_deg, hysteresis_ratio, _low and _high.
+    comparisons : DataFrame
+        At most one row a frequency, with frequency_hz, angle_deg, baseline, design, baseline_ratio,
+        design_ratio, improvement (a share).
     """
     frequencies = sorted(dynamic["frequency_hz"].dropna().unique())
     with house_style():

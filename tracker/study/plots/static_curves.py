@@ -22,9 +22,11 @@ def static_figure(steps: pd.DataFrame, trials: Sequence[TrialData], looks: Mappi
 
     Parameters
     ----------
-    steps : one row a stair, with trial, number, pressure_kpa, angle_deg, angle_deg_low, angle_deg_high,
-        model_angle_deg
-    trials : those of the steps, for their model curves
+    steps : DataFrame
+        One row a stair, with trial, number, pressure_kpa, angle_deg, angle_deg_low, angle_deg_high,
+        model_angle_deg.
+    trials : sequence of TrialData
+        Those of the steps, for their model curves.
     """
     with house_style():
         figure = new_figure(COLUMN_MM, 104)

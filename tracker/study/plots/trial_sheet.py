@@ -36,7 +36,8 @@ def trial_sheet(
 
     Parameters
     ----------
-    paper : a sheet from `blank_sheet`, or one of a trial that is done with, to be drawn on; None for a new one
+    paper : Figure or None, optional
+        A sheet from `blank_sheet`, or one of a trial that is done with, to be drawn on; None for a new one.
     """
     with_leaf = len(loops) + len(apart) > 0
     figure = blank_sheet(with_leaf) if paper is None else paper
