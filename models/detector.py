@@ -232,7 +232,7 @@ class NetworkDetector:
         """Stretches of a video at once: the network is small, so each takes one core."""
         return self._workers
 
-    def stretch_frames(self, size_wh: tuple[int, int], frames: int | None) -> int:
+    def chunk_frames(self, size_wh: tuple[int, int], frames: int | None) -> int:
         """Frames that are followed together, few enough that several stretches fit into memory."""
         if not self._follows:
             return self.batch_size
@@ -263,7 +263,7 @@ class FollowingDetector:
         self.keypoints = own.keypoints
         self.provenance = own.provenance
         self.detect = follower.detect
-        self.pass_over = follower.pass_over
+        self.skip_frames = follower.pass_over
 
 
 def cores() -> int:

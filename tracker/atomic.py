@@ -1,6 +1,6 @@
 """Writing a file so that it is whole or not there: temporary file, fsync, rename.
 
-Every file that bendtrack writes goes through here. What is in the file is the caller's business.
+Every file that bendtrack writes goes through here. What a file contains is up to the caller.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     choose their format by it). When the block ends well, the file and then its folder are flushed to disk
     around the rename, so a crash or a full disk leaves the old file or the new one. If the block raises, the
     temporary file is removed and `path` stays as it was. A process killed on the spot may leave the temporary
-    file behind; whoever lists a folder skips names that begin with a dot, and `remove_leftovers` tells it from
-    a file that is being written by the lock that is held on that.
+    file behind; code that lists a folder skips names that begin with a dot. A file that is being
+    written is locked, so `remove_leftovers` keeps it.
 
     A symbolic link is followed: its target is replaced, the link stays.
 
@@ -55,7 +55,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
 def remove_leftovers(folder: str | Path, stem: str | None = None) -> None:
     """Remove temporary files that killed writers left, of all files of a folder or of those with one stem.
 
-    What another process is writing stays, and so does what cannot be known to be a leftover.
+    Files that another process is writing stay, and so do files that may not be leftovers.
     """
     name = "*" if stem is None else glob.escape(stem[:40])
     for leftover in Path(folder).glob(f".{name}.{'[0-9a-f]' * 12}.tmp*"):

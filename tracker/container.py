@@ -1,6 +1,6 @@
-"""Opening a video file and reading what its container says of it: stream, claims, orientation.
+"""Opening a video file and reading its container's metadata: stream, frame count, orientation.
 
-What it says is hearsay until the frames have been decoded (`decoding.py`).
+These values are claims: only decoding (`decoding.py`) shows whether they hold.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from av.stream import Disposition
 from .errors import VideoError, reason
 from .types import ImageArray
 
-# Pictures and text, which FFmpeg would open as a "video" of one frame.
+# Images and text, which FFmpeg would open as a "video" of one frame.
 _NOT_VIDEO_FORMATS = ("_pipe", "image2", "tty")
 
 
 @dataclass(frozen=True)
 class Orientation:
-    """How a decoded picture is turned to be shown: transposed first, then flipped."""
+    """How a decoded frame is turned for display: transposed first, then flipped."""
 
     transpose: bool = False
     flip_x: bool = False
     flip_y: bool = False
 
     def apply(self, image: ImageArray) -> ImageArray:
-        """Turn (H, W, 3) as decoded into the picture as displayed, contiguous."""
+        """Turn an image (H, W, 3) as decoded into the image as displayed, contiguous."""
         if self.transpose:
             image = image.swapaxes(0, 1)
         return np.ascontiguousarray(image[:: -1 if self.flip_y else 1, :: -1 if self.flip_x else 1])
@@ -41,7 +41,7 @@ class Orientation:
 
 @contextmanager
 def open_video(path: Path, threads: int) -> Iterator[tuple[InputContainer, av.VideoStream]]:
-    """Open a file and its first video stream that is not a cover picture, ready to decode.
+    """Open a file and its first video stream that is not a cover image, ready to decode.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def _open(path: Path) -> InputContainer:
     name = container.format.name
     if any(word in name for word in _NOT_VIDEO_FORMATS):
         container.close()
-        raise VideoError(f"{path}: expected a video, got a picture or text (FFmpeg takes it for {name})")
+        raise VideoError(f"{path}: expected a video, got an image or text (FFmpeg takes it for {name})")
     return container
 
 
@@ -98,13 +98,13 @@ def _video_stream(container: InputContainer, path: Path) -> av.VideoStream:
     raise VideoError(f"{path}: expected a video stream, found only {kinds}")
 
 
-def first_picture(container: InputContainer, stream: av.VideoStream, path: Path) -> av.VideoFrame:
-    """The first sound picture, for size and orientation.
+def first_frame(container: InputContainer, stream: av.VideoStream, path: Path) -> av.VideoFrame:
+    """The first frame decoded without error, for size and orientation.
 
     Raises
     ------
     VideoError
-        There is none in the whole file.
+        The file holds no such frame.
     """
     packets = container.demux(stream)
     packet: av.Packet | None
@@ -116,18 +116,18 @@ def first_picture(container: InputContainer, stream: av.VideoStream, path: Path)
         if packet is not None and packet.size == 0:
             continue
         try:
-            pictures = stream.codec_context.decode(packet)
+            decoded = stream.codec_context.decode(packet)
         except av.FFmpegError:
-            pictures = []
-        for picture in pictures:
-            if not picture.is_corrupt:
-                return picture
+            decoded = []
+        for frame in decoded:
+            if not frame.is_corrupt:
+                return frame
         if packet is None:
             raise VideoError(f"{path}: holds no frame that can be decoded ({stream.codec_context.name})")
 
 
-def orientation(picture: av.VideoFrame) -> tuple[Orientation, int, str | None]:
-    """How a picture is to be turned, by the display matrix that the container gave it.
+def orientation(frame: av.VideoFrame) -> tuple[Orientation, int, str | None]:
+    """Orientation of a decoded frame, from the container's display matrix.
 
     The matrix takes a decoded (x, y) to the displayed (a x + c y, b x + d y). Only quarter turns and
     mirrors are applied, which keep pixels whole.
@@ -141,9 +141,9 @@ def orientation(picture: av.VideoFrame) -> tuple[Orientation, int, str | None]:
     warning : str or None
         A line where that turn is not applied.
     """
-    if SideDataType.DISPLAYMATRIX not in picture.side_data:
+    if SideDataType.DISPLAYMATRIX not in frame.side_data:
         return Orientation(), 0, None
-    matrix = picture.side_data[SideDataType.DISPLAYMATRIX]  # type: ignore[typeddict-item] # PyAV's stub errs
+    matrix = frame.side_data[SideDataType.DISPLAYMATRIX]  # type: ignore[typeddict-item] # PyAV's stub errs
     a, b, _, c, d = np.frombuffer(bytes(matrix), np.int32)[:5] / 65536
     turn = round(math.degrees(math.atan2(-b, a)))
     if max(abs(b), abs(c)) < 1e-3 * max(abs(a), abs(d)):
@@ -154,7 +154,7 @@ def orientation(picture: av.VideoFrame) -> tuple[Orientation, int, str | None]:
 
 
 def claimed_frames(stream: av.VideoStream) -> int | None:
-    """The container's word: its own counter, or the tag that some Matroska writers leave; None without."""
+    """Frame count claimed by the container: its own counter, or a tag of some Matroska writers; None without either."""
     if stream.frames:
         return int(stream.frames)
     for tag, value in stream.metadata.items():

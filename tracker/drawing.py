@@ -1,4 +1,4 @@
-"""Marks on video frames: sub-pixel anti-aliased lines, arrows, points, and text that reads on any background.
+"""Marks on video frames: sub-pixel anti-aliased lines, arrows, points, and text legible on any background.
 
 What is drawn where is decided in `overlay.py` and `curve_inset.py`. Images are RGB uint8 (H, W, 3), drawn
 on in place; positions are px with (0, 0) the centre of the top-left pixel.
@@ -18,7 +18,7 @@ from .types import FloatArray, ImageArray
 
 Colour = tuple[int, ...]  # RGB, or one level for a mask
 
-# Okabe and Ito's palette, told apart with any colour vision (jfly.uni-koeln.de/color).
+# Okabe and Ito's palette, distinguishable with any colour vision (jfly.uni-koeln.de/color).
 SKY_BLUE: Colour = (86, 180, 233)
 ORANGE: Colour = (245, 150, 10)
 YELLOW: Colour = (250, 232, 80)
@@ -42,13 +42,13 @@ def polygon(image: ImageArray, points: FloatArray, colour: Colour) -> None:
 
 
 def _fixed(points: FloatArray) -> np.ndarray:
-    """Positions as OpenCV wants them; far outside of any frame they are moved in, which no one can see."""
+    """Positions in OpenCV's fixed-point format; positions far outside any frame are clipped, which is not visible."""
     return np.round(np.clip(points, -1e5, 1e5) * (1 << _SHIFT)).astype(np.int32)
 
 
 def disc(image: ImageArray, centre: FloatArray, radius: float, colour: Colour) -> None:
     """A filled circle around (2,)."""
-    # By the share of each px that it covers: OpenCV's small circles come out as polygons.
+    # By the fraction of each px that it covers: OpenCV's small circles come out as polygons.
     left, top = (int(np.floor(value - radius)) for value in centre)
     side = np.arange(int(2 * radius) + 4)
     distance = np.hypot(side + (left - centre[0]), side[:, None] + (top - centre[1]))
@@ -90,7 +90,7 @@ def shade(
 def sector(
     image: ImageArray, centre: FloatArray, points: FloatArray, colour: Colour, strength: float
 ) -> None:
-    """A translucent fan between a centre and the points (N, 2) of an arc."""
+    """A translucent sector between a centre and the points (N, 2) of an arc."""
     outline = np.vstack([centre, points])
     left, top = np.floor(outline.min(axis=0)).astype(int) - 1
     right, bottom = np.ceil(outline.max(axis=0)).astype(int) + 2
@@ -104,7 +104,7 @@ def sector(
 
 def text(
     image: ImageArray,
-    words: str,
+    string: str,
     at: tuple[float, float],
     size: int,
     colour: Colour = WHITE,
@@ -113,18 +113,18 @@ def text(
     bold: bool = False,
     halo: bool = True,
 ) -> tuple[int, int]:
-    """Write words with a dark halo; returns their (width, height) in px.
+    """Write a string with a dark halo; returns its (width, height) in px.
 
     Parameters
     ----------
     at : tuple of (float, float)
-        Position of the anchor.
+        Position of the anchor, px.
     size : int
-        Height of the letters' body, px.
+        Font size, px.
     anchor : tuple of (float, float), optional
-        Which point of the words lies at `at`: (0, 0) left top, (0.5, 0.5) centre, (1, 1) right bottom.
+        Which point of the text lies at `at`: (0, 0) left top, (0.5, 0.5) centre, (1, 1) right bottom.
     """
-    fill, edge = _letters(words, size, bold)
+    fill, edge = _letters(string, size, bold)
     height, width = fill.shape
     left, top = round(at[0] - anchor[0] * width), round(at[1] - anchor[1] * height)
     if halo:
@@ -133,18 +133,18 @@ def text(
     return width, height
 
 
-def text_size(words: str, size: int, *, bold: bool = False) -> tuple[int, int]:
+def text_size(string: str, size: int, *, bold: bool = False) -> tuple[int, int]:
     """(width, height) in px of what `text` would write."""
-    height, width = _letters(words, size, bold)[0].shape
+    height, width = _letters(string, size, bold)[0].shape
     return width, height
 
 
 @lru_cache(maxsize=256)
-def _letters(words: str, size: int, bold: bool) -> tuple[ImageArray, ImageArray]:
-    """Alpha masks (h, w) of the letters and of their halo, put together from single letters."""
-    ends = np.cumsum([_advance(letter, size, bold) for letter in words])
+def _letters(string: str, size: int, bold: bool) -> tuple[ImageArray, ImageArray]:
+    """Alpha masks (h, w) of the letters and of their halo, assembled from single letters."""
+    ends = np.cumsum([_advance(letter, size, bold) for letter in string])
     starts = np.round(np.concatenate([[0.0], ends[:-1]])).astype(int)
-    glyphs = [_glyph(letter, size, bold) for letter in words]
+    glyphs = [_glyph(letter, size, bold) for letter in string]
     shape = (
         glyphs[0][0].shape[0],
         max(x + fill.shape[1] for x, (fill, _) in zip(starts, glyphs, strict=True)),

@@ -1,6 +1,6 @@
-"""From what was found in frames to the rows of an angle table: the angle, its standard deviation, the flag.
+"""From detections to the rows of an angle table: the angle, its standard deviation, the flag.
 
-One meaning for videos (`tracking.py`) and live pictures (`live/newest_first.py`). The angle itself is in `angle.py`.
+Shared by videos (`tracking.py`) and live sources (`live/low_latency.py`). The angle itself is in `angle.py`.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def check_points(keypoints: Sequence[str], definition: AngleDefinition) -> None:
     Raises
     ------
     AngleError
-        It does not.
+        A point of the angle is not among the keypoints.
     """
     missing = [point for point in definition.points if point not in keypoints]
     if missing:
@@ -54,26 +54,27 @@ def measure(
     decoded: np.ndarray,
     damaged: np.ndarray,
     min_likelihood: float = MIN_LIKELIHOOD,
-    steady: bool = False,
+    check_jumps: bool = False,
 ) -> AngleRows:
     """The bending angle of frames, with a flag on every row that is missing or to be doubted.
 
     Parameters
     ----------
     found : Detections
-        Of T frames; NaN where a frame could not be decoded.
+        Keypoints of T frames; NaN where a frame could not be decoded.
     keypoints : sequence of str
         The K names.
     definition : AngleDefinition
-        Which angle, of which of them.
+        Which angle, of which of the keypoints.
     size_wh : tuple of (int, int)
-        Of the frames, px.
+        Width and height of the frames, px.
     decoded, damaged : ndarray of bool
         (T,) as `types.Flag` means them.
     min_likelihood : float, optional
         A row with a keypoint of the angle below this is flagged `low_likelihood`.
-    steady : bool, optional
-        Whether a row whose neighbours say another angle is flagged `jump`.
+    check_jumps : bool, optional
+        Whether the temporal-consistency check runs: a row whose angle differs from those of the frames around it
+        is flagged `jump`.
     """
     angle_deg, angle_sd_deg, coincident = bending_angle(found.xy, keypoints, definition, found.covariance)
     chain = [keypoints.index(point) for point in definition.points]
@@ -82,7 +83,7 @@ def measure(
         angle_deg[lost] = angle_sd_deg[lost] = np.nan
     with np.errstate(invalid="ignore"):
         unlikely = (found.likelihood[:, chain] < min_likelihood).any(axis=1) | np.isnan(angle_deg)
-    jumped = _jumped(angle_deg, angle_sd_deg) if steady else np.zeros(len(angle_deg), bool)
+    jumped = _jumped(angle_deg, angle_sd_deg) if check_jumps else np.zeros(len(angle_deg), bool)
     flag = np.select(
         [~decoded, coincident, outside, damaged, unlikely, jumped],
         [

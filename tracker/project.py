@@ -48,14 +48,14 @@ sign = "auto"
 
 
 class Project:
-    """An opened project. All that it writes lies under `root`, and no file in it mentions where that is.
+    """An opened project. Everything it writes lies under `root`, and no file in it contains that path.
 
     Attributes
     ----------
     root : Path
         The project's folder.
     settings : ProjectSettings
-        bendtrack.toml, validated.
+        Contents of bendtrack.toml, validated.
     """
 
     def __init__(self, root: Path, settings: ProjectSettings) -> None:
@@ -150,12 +150,12 @@ class Project:
         return self.root / "results"
 
     def angle_definition(self, labelled_xy: FloatArray | None = None) -> AngleDefinition:
-        """Angle of this project, with the sign settled.
+        """Angle definition of this project, with its sign determined.
 
         Parameters
         ----------
         labelled_xy : ndarray of float or None, optional
-            (N, K, 2) px of the labelled frames, looked at only where the project's sign is "auto";
+            (N, K, 2) px of the labelled frames, used only where the project's sign is "auto";
             None then leaves the sign +1, clockwise on the screen.
 
         Raises
@@ -175,14 +175,14 @@ class Project:
         return self.settings.actuator_of(video)
 
     def assign_actuator(self, actuator: str, videos: Sequence[str]) -> None:
-        """List videos (stems or file names) under an actuator in bendtrack.toml, keeping its comments.
+        """List videos (stems or file names) under an actuator in bendtrack.toml, keeping the file's comments.
 
         A video listed under another actuator moves. The file is replaced only when the outcome is valid.
 
         Raises
         ------
         ProjectError
-            The actuator's name cannot be one, or the file has been damaged since.
+            The actuator's name is not valid, or the file was damaged after it was opened.
         """
         path = self.root / SETTINGS_FILE
         document = tomlkit.parse(toml_text(path, ProjectError))

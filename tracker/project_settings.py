@@ -1,4 +1,4 @@
-"""What may stand in bendtrack.toml: the settings as pydantic models, and one clear line for each mistake.
+"""Contents of bendtrack.toml: the settings as pydantic models, and one clear line for each mistake.
 
 Where the file lies and how a project is created or opened is in `project.py`. Training and tracking settings
 are overrides: one that is not given takes the default of the code that uses it, which is written there once.
@@ -15,13 +15,13 @@ from pydantic_core import PydanticCustomError
 
 from .angle import AngleDefinition, default_points
 from .errors import AngleError, ProjectError
-from .toml_files import Section, mistake_in_words
+from .toml_files import Section, validation_message
 
-# An actuator for every video that no actuator lists: a project that says nothing is a study of one actuator.
+# The actuator of every video that is not listed: a project without a list is a study of one actuator.
 DEFAULT_ACTUATOR = "default"
 
 # Names become CSV column heads, figure legends and DeepLabCut body parts: letters and digits of any script,
-# and a few signs within, nothing that a spreadsheet takes for a formula or a separator.
+# and a few other characters within, nothing that a spreadsheet takes for a formula or a separator.
 _NAME = re.compile(r"\w(?:[\w .+-]*[\w+])?")
 VIDEO_SUFFIXES = (
     *(".avi", ".flv", ".m2ts", ".m4v", ".mj2", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg"),
@@ -160,8 +160,10 @@ class ProjectSettings(Section):
 def listed_stem(video: str) -> str:
     """Stem of a video as listed under `actuators`: a stem, a file name, or a path of either system.
 
-    A dot in a stem is no suffix.
+    A dot within a stem does not begin a suffix.
 
+    Examples
+    --------
     >>> [listed_stem(v) for v in ("trial 1.5Hz", "trial 1.5Hz.mp4", "videos\\\\a.MOV")]
     ['trial 1.5Hz', 'trial 1.5Hz', 'a']
     """
@@ -175,12 +177,12 @@ def parse_settings(raw: dict[str, Any], where: str) -> ProjectSettings:
     Raises
     ------
     ProjectError
-        With the key, what was expected and what came; the first mistake, and how many more there are.
+        The message gives the key, what was expected and what was found, for the first mistake, and counts the others.
     """
     try:
         return ProjectSettings.model_validate(raw)
     except ValidationError as error:
-        raise ProjectError(f"{where}: {mistake_in_words(error, ProjectSettings)}") from error
+        raise ProjectError(f"{where}: {validation_message(error, ProjectSettings)}") from error
 
 
 def _check_name(name: str, what: str) -> None:

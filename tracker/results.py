@@ -1,7 +1,7 @@
-"""The angle table: what it holds, and how it is written (CSV, HDF5, JSON) and read back.
+"""The angle table: its contents, and how it is written (CSV, HDF5, JSON) and read back.
 
-How the numbers come about is in `tracking.py`; whether files on disk are up to date in `bookkeeping.py`;
-pictures of them in `figures.py` and `overlay.py`.
+The numbers are computed in `tracking.py`; `bookkeeping.py` finds out whether files on disk are up to date;
+`figures.py` and `overlay.py` draw them.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class AngleTable:
     xy : ndarray of float
         (T, K, 2) px of the full frame.
     likelihood : ndarray of float
-        (T, K).
+        (T, K) in [0, 1].
     covariance : ndarray of float
         (T, K, 2, 2) px^2.
     keypoints : tuple of str
@@ -115,8 +115,9 @@ class AngleTable:
 def write_results(table: AngleTable, out_dir: str | Path, stem: str) -> tuple[Path, Path, Path]:
     """Write `<stem>.h5`, `<stem>.csv` and `<stem>.json`, each whole or not at all.
 
-    The JSON comes last and holds the hashes of the other two, so after a kill at any moment either it fits
-    them, or `bookkeeping.is_up_to_date` says no. The HDF5 comes first: it tells whose files these are.
+    The JSON comes last and holds the hashes of the other two, so after a kill at any moment it either
+    matches them, or `bookkeeping.is_up_to_date` returns False. The HDF5 comes first: it records whose results
+    these are.
 
     Returns
     -------
@@ -150,10 +151,10 @@ def write_results(table: AngleTable, out_dir: str | Path, stem: str) -> tuple[Pa
 
 
 def read_results(path: str | Path) -> AngleTable:
-    """Read an angle table from its .h5 (exact), its .csv, or its .json (the .h5 or else the .csv beside it).
+    """Read an angle table from its .h5 (exact), its .csv, or its .json (the .h5 or else the .csv next to it).
 
-    A CSV holds no covariances: they are NaN. Definition and provenance come from the JSON beside it if that
-    belongs to it (by hash), else they are None and empty.
+    A CSV holds no covariances: they are NaN. Definition and provenance come from the JSON next to it
+    where its hash of the CSV matches, else they are None and empty.
 
     Raises
     ------
@@ -169,20 +170,20 @@ def read_results(path: str | Path) -> AngleTable:
         return _read_csv(path)
     if path.suffix == ".json":
         read_record(path)
-        for reader, beside in ((_read_h5, path.with_suffix(".h5")), (_read_csv, path.with_suffix(".csv"))):
-            if beside.is_file():
-                return reader(beside)
-        raise ResultsError(f"{path}: expected its .h5 or .csv beside it, found neither")
+        for reader, table in ((_read_h5, path.with_suffix(".h5")), (_read_csv, path.with_suffix(".csv"))):
+            if table.is_file():
+                return reader(table)
+        raise ResultsError(f"{path}: expected its .h5 or .csv next to it, found neither")
     raise ResultsError(f"{path}: expected results in .csv, .h5 or .json, got '{path.suffix}'")
 
 
 def read_record(path: Path) -> dict[str, Any]:
-    """The JSON beside a table as it stands.
+    """The JSON record of a table, unchanged.
 
     Raises
     ------
     ResultsError
-        It cannot be read or is not bendtrack's.
+        The file cannot be read or was not written by bendtrack.
     """
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
@@ -241,7 +242,7 @@ def _read_csv(path: Path) -> AngleTable:
     except ValueError as error:
         raise ResultsError(f"{path}: expected numbers or empty cells ({error})") from error
     values = numbers[wanted].to_numpy().reshape(len(frame), len(keypoints), 3)
-    definition, provenance = _definition_beside(path)
+    definition, provenance = _recorded_definition(path)
     return AngleTable(
         time_s=numbers["time_s"].to_numpy(),
         angle_deg=numbers["angle_deg"].to_numpy(),
@@ -256,7 +257,7 @@ def _read_csv(path: Path) -> AngleTable:
     )
 
 
-def _definition_beside(csv_path: Path) -> tuple[AngleDefinition | None, dict[str, Any]]:
+def _recorded_definition(csv_path: Path) -> tuple[AngleDefinition | None, dict[str, Any]]:
     try:
         record = read_record(csv_path.with_suffix(".json"))
     except ResultsError:

@@ -143,12 +143,12 @@ def test_an_angle_that_its_neighbours_contradict_is_flagged_where_it_is_asked_fo
     found = Detections(xy, np.ones((20, 4)), np.tile(4.0 * np.eye(2), (20, 4, 1, 1)))  # sd 4.6 degrees
     kept = {"decoded": ~np.isnan(angle), "damaged": np.zeros(20, bool)}
 
-    def flagged(steady: bool) -> list[int]:
-        rows = measure(found, NAMES, DEFINITION, (200, 200), steady=steady, **kept)
+    def flagged(check_jumps: bool) -> list[int]:
+        rows = measure(found, NAMES, DEFINITION, (200, 200), check_jumps=check_jumps, **kept)
         return np.flatnonzero(rows.flag == Flag.JUMP).tolist()
 
-    assert flagged(steady=True) == [4, 13]
-    assert flagged(steady=False) == []
+    assert flagged(check_jumps=True) == [4, 13]
+    assert flagged(check_jumps=False) == []
 
 
 def test_keypoints_outside_the_angle_do_not_flag(arm_video, film):

@@ -238,8 +238,8 @@ def test_what_is_no_video_is_refused_in_one_line(tmp_path, arm_video, arm_images
     cases = {
         "empty.mp4": (lambda path: path.touch(), "is empty"),
         "text.mp4": (lambda path: path.write_text("no video\n" * 200), "not a video"),
-        "notes.txt": (lambda path: path.write_text("no video\n" * 200), "got a picture or text"),
-        "photo.png": (lambda path: cv2.imwrite(str(path), arm_images[0]), "got a picture or text"),
+        "notes.txt": (lambda path: path.write_text("no video\n" * 200), "got an image or text"),
+        "photo.png": (lambda path: cv2.imwrite(str(path), arm_images[0]), "got an image or text"),
         "sound.m4a": (audio_only, "found only audio"),
         "index.mp4": (without_index, "cut off before its index was written"),
         "zeroed.mp4": (zeroed, "no frame that can be decoded"),

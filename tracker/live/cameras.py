@@ -1,4 +1,4 @@
-"""Cameras of this machine: which there are, which one is meant, and how FFmpeg is asked for it."""
+"""Cameras of this machine: listing them, choosing one, and FFmpeg's options to open it."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ _INPUTS = {
     "darwin": ("avfoundation", "pixel_format"),
     "win32": ("dshow", "vcodec"),
 }
-# AVFoundation's own default, 29.97, is a rate that most cameras do not have.
+# AVFoundation's default, 29.97, is not supported by most cameras.
 _DARWIN_RATE = "30"
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera: `address` as FFmpeg opens it, `name` as people know it."""
+    """A camera: its `address` for FFmpeg, and its `name` for users."""
 
     address: str
     name: str
@@ -33,16 +33,16 @@ class Camera:
 
 @dataclass(frozen=True)
 class CameraMode:
-    """How a camera is asked to run; None leaves it the choice.
+    """Requested mode of a camera; None leaves the choice to the camera.
 
     Attributes
     ----------
     size_wh : tuple of (int, int) or None
-        px.
+        Width and height, px.
     rate : float or None
-        frames/s.
+        Frames/s.
     format : str or None
-        As FFmpeg calls it: many cameras are fast only in "mjpeg".
+        Pixel format or codec in FFmpeg's spelling: many cameras are fast only in "mjpeg".
     """
 
     size_wh: tuple[int, int] | None = None
@@ -71,16 +71,16 @@ def find_camera(wanted: str | None, among: Sequence[Camera]) -> Camera:
     Raises
     ------
     VideoError
-        There is none, or more than one.
+        No camera matches, or more than one.
     """
-    there = "; ".join(f"{_shown_number(place, camera)}: {camera.name}" for place, camera in enumerate(among))
+    there = "; ".join(f"{_shown_number(index, camera)}: {camera.name}" for index, camera in enumerate(among))
     got = f"the cameras here are {there}" if among else "no camera was found"
     if wanted is None:
         if not among:
             raise VideoError("expected a camera, a video file or a URL: no camera was found")
         return among[0]
     if wanted.isdecimal():
-        matches = [c for place, c in enumerate(among) if _shown_number(place, c) == int(wanted)]
+        matches = [c for index, c in enumerate(among) if _shown_number(index, c) == int(wanted)]
     else:
         matches = [c for c in among if wanted.casefold() in (c.name.casefold(), c.address.casefold())]
         matches = matches or [c for c in among if wanted.casefold() in c.name.casefold()]
@@ -91,7 +91,7 @@ def find_camera(wanted: str | None, among: Sequence[Camera]) -> Camera:
 
 
 def is_camera_device(path: str) -> bool:
-    """Whether this is a device of the system, such as /dev/video0."""
+    """Whether a path is a device of the system, such as /dev/video0."""
     try:
         return stat.S_ISCHR(Path(path).stat().st_mode)
     except OSError:
@@ -116,9 +116,9 @@ def _input() -> tuple[str, str]:
     return _INPUTS.get(sys.platform, _INPUTS["linux"])
 
 
-def _shown_number(place: int, camera: Camera) -> int:
-    """By which a camera is called: that of its device on Linux, elsewhere its place."""
-    return _number(camera.address) if camera.address.startswith("/dev/video") else place
+def _shown_number(index: int, camera: Camera) -> int:
+    """The number of a camera: that of its device on Linux, elsewhere its index in the list."""
+    return _number(camera.address) if camera.address.startswith("/dev/video") else index
 
 
 def _number(address: str) -> int:

@@ -31,9 +31,9 @@ class Angles:
     time_s : ndarray of float
         (T,) rising.
     angle_deg, angle_sd_deg : ndarray of float
-        (T,) NaN in gaps; the sd also where a table does not say.
+        (T,) degrees, NaN in gaps; the sd also where the table has none.
     warnings : tuple of str
-        A line each.
+        Warnings, a line each.
     provenance : dict of str to Any
         JSON-ready.
     """
@@ -48,8 +48,8 @@ class Angles:
 def read_angles(path: str | Path, keep_flagged: Sequence[str] = ()) -> Angles:
     """Read an angle table: .csv, .h5 or .json of `bendtrack track`, or a CSV with columns time_s and angle_deg.
 
-    A plain CSV may also have angle_sd_deg and flag; its fields are parted by commas, or by semicolons with decimal
-    commas. Flagged rows become gaps, but for the flags in `keep_flagged`.
+    A plain CSV may also have angle_sd_deg and flag; its fields are separated by commas, or by semicolons with decimal
+    commas. Flagged rows become gaps, except for the flags in `keep_flagged`.
 
     Raises
     ------
@@ -74,7 +74,7 @@ def read_angles(path: str | Path, keep_flagged: Sequence[str] = ()) -> Angles:
     unflagged = int((np.isnan(angle) & (flag == Flag.NONE.value)).sum())
     if unflagged:
         warnings.append(f"angles: {unflagged} of {len(angle)} rows have no angle: gaps")
-    # A time that does not rise would put one frame in two places.
+    # Times must rise: resampling needs a unique time for each frame.
     rises = time_s > np.concatenate([[-np.inf], np.fmax.accumulate(time_s)[:-1]])
     if not rises.all():
         warnings.append(f"angles: {(~rises).sum()} rows whose time does not rise were left out")
@@ -89,12 +89,12 @@ def read_angles(path: str | Path, keep_flagged: Sequence[str] = ()) -> Angles:
 def find_table(results: Path, video: Path) -> Path:
     """The angle table of a video in a folder of results, or in a project's.
 
-    Where several videos of that name were tracked, the video's own content decides.
+    Where several videos of that name were tracked, the video's SHA-256 decides.
 
     Raises
     ------
     StudyError
-        No such folder, no table, or several and no way to tell.
+        No such folder, no table, or several tables that may be the video's.
     """
     folder = results / "results" if (results / SETTINGS_FILE).is_file() else results
     if not folder.is_dir():
@@ -143,11 +143,11 @@ def _plain_csv(
 ) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.str_], dict[str, Any]]:
     try:
         with open(path, encoding="utf-8-sig") as file:
-            german = ";" in file.readline()
+            has_semicolons = ";" in file.readline()
         frame = pd.read_csv(
             path,
-            sep=";" if german else ",",
-            decimal="," if german else ".",
+            sep=";" if has_semicolons else ",",
+            decimal="," if has_semicolons else ".",
             encoding="utf-8-sig",
             index_col=False,
         )

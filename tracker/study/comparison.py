@@ -1,6 +1,6 @@
-"""Designs beside each other: at one angle, at one pressure, against the baseline, in order, and every pair.
+"""Designs compared: at one angle, at one pressure, against the baseline, ranked, and in pairs.
 
-Trials' values come from `dynamic.py`. Trials count as independent of each other, their clocks' shifts too.
+The trials' values come from `dynamic.py`. Trials are taken as independent, their clock shifts included.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _ANGLE_STEP_DEG = 5.0
 
 @dataclass(frozen=True)
 class TrialPoint:
-    """What a dynamic trial brings to the comparison."""
+    """Values of a dynamic trial that enter the comparison."""
 
     trial: str
     design: str
@@ -32,7 +32,7 @@ class TrialPoint:
 
 @dataclass(frozen=True)
 class Condition:
-    """What is held the same: the wave's frequency, and either a pressure or an angle (the other is NaN)."""
+    """A condition of comparison: the wave's frequency, and either a pressure or an angle (the other is NaN)."""
 
     metric: str
     frequency_hz: float
@@ -63,7 +63,7 @@ class Improvement:
 
 @dataclass(frozen=True)
 class Difference:
-    """Design a less design b under one condition. `p_holm` is adjusted over all pairs under the condition."""
+    """Design a minus design b under one condition. `p_holm` is adjusted over all pairs under the condition."""
 
     condition: Condition
     design_a: str
@@ -75,7 +75,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Rank:
-    """A design's place under one condition, 1 the best. `apart_from_next`: it differs from the next.
+    """A design's rank under one condition, 1 the best. `apart_from_next`: it differs from the next.
 
     None for the last, and where the uncertainty is not known.
     """
@@ -91,14 +91,14 @@ def ratio_at_angle(points: Sequence[TrialPoint], angle_deg: float) -> tuple[Esti
     """Hysteresis ratio of one design at one frequency, at an angle between its trials' largest angles.
 
     Piecewise linear in the largest angle (the study's constant-angle comparison), with the uncertainty of the
-    ratios and of the angles of the two trials beside it.
+    ratios and angles of the two trials between which it is interpolated.
 
     Returns
     -------
     ratio : Estimate
         NaN where refused.
     refused : str
-        The reason, empty where the ratio is given.
+        The reason for a refusal, empty where the ratio is given.
     """
     nodes = sorted(_nodes(points), key=lambda node: node[0].value)
     if not nodes:
@@ -107,19 +107,19 @@ def ratio_at_angle(points: Sequence[TrialPoint], angle_deg: float) -> tuple[Esti
     if len(nodes) == 1 or not angles[0] <= angle_deg <= angles[-1]:
         reach = f"{angles[0]:.1f} deg only" if len(nodes) == 1 else f"{angles[0]:.1f} to {angles[-1]:.1f} deg"
         return Estimate(NAN), f"its trials reach {reach}, not {angle_deg:g} deg"
-    place = min(max(int(np.searchsorted(angles, angle_deg)), 1), len(nodes) - 1)
-    (angle_a, ratio_a), (angle_b, ratio_b) = nodes[place - 1], nodes[place]
-    way = angle_b.value - angle_a.value
-    if not way > 0:
+    index = min(max(int(np.searchsorted(angles, angle_deg)), 1), len(nodes) - 1)
+    (angle_a, ratio_a), (angle_b, ratio_b) = nodes[index - 1], nodes[index]
+    step = angle_b.value - angle_a.value
+    if not step > 0:
         return combined((ratio_a.value + ratio_b.value) / 2, [(0.5, ratio_a), (0.5, ratio_b)]), ""
-    share = (angle_deg - angle_a.value) / way
-    slope = (ratio_b.value - ratio_a.value) / way
-    value = (1 - share) * ratio_a.value + share * ratio_b.value
+    fraction = (angle_deg - angle_a.value) / step
+    slope = (ratio_b.value - ratio_a.value) / step
+    value = (1 - fraction) * ratio_a.value + fraction * ratio_b.value
     parts = [
-        (1 - share, ratio_a),
-        (share, ratio_b),
-        (-slope * (1 - share), angle_a),
-        (-slope * share, angle_b),
+        (1 - fraction, ratio_a),
+        (fraction, ratio_b),
+        (-slope * (1 - fraction), angle_a),
+        (-slope * fraction, angle_b),
     ]
     return combined(value, [(weight, part) for weight, part in parts if weight != 0]), ""
 
@@ -152,7 +152,7 @@ def improvements(
 
 
 def conditions(points: Sequence[TrialPoint], angles_deg: Sequence[float] | None = None) -> list[Condition]:
-    """Under which designs are ranked and compared in pairs: every pressure, and angles at every frequency.
+    """Conditions of the ranking and the pairwise comparison: every pressure, and angles at every frequency.
 
     `angles_deg` None: the multiple of 5 degrees that most designs reach, the largest if there are several.
     """
@@ -165,7 +165,7 @@ def conditions(points: Sequence[TrialPoint], angles_deg: Sequence[float] | None 
 
 
 def value_under(points: Sequence[TrialPoint], condition: Condition) -> tuple[Estimate, str]:
-    """One design's value under a condition, and why there is none; repeated trials are averaged."""
+    """One design's value under a condition, or the reason why there is none; repeated trials are averaged."""
     here = [point for point in points if point.frequency_hz == condition.frequency_hz]
     if condition.metric == "hysteresis_ratio":
         return ratio_at_angle(here, condition.angle_deg)
@@ -193,15 +193,15 @@ def differences(points: Sequence[TrialPoint], condition: Condition) -> list[Diff
 
 
 def ranking(points: Sequence[TrialPoint], condition: Condition, confidence: float) -> list[Rank]:
-    """Designs from best to worst; two neighbours are apart where their Holm-adjusted p-value says so."""
+    """Designs from best to worst; neighbours differ significantly where their Holm-adjusted p-value is small."""
     values = _values(points, condition)
     order = sorted(values, key=lambda design: values[design].value, reverse=condition.higher_is_better)
     adjusted = {frozenset((d.design_a, d.design_b)): d.p_holm for d in differences(points, condition)}
     ranks = []
-    for place, design in enumerate(order):
-        p = adjusted[frozenset((design, order[place + 1]))] if place + 1 < len(order) else NAN
+    for index, design in enumerate(order):
+        p = adjusted[frozenset((design, order[index + 1]))] if index + 1 < len(order) else NAN
         apart = None if math.isnan(p) else p < 1 - confidence
-        ranks.append(Rank(condition, place + 1, design, values[design], apart))
+        ranks.append(Rank(condition, index + 1, design, values[design], apart))
     return ranks
 
 
@@ -222,16 +222,16 @@ def _improvement(
     refused = "; ".join(
         f"{name}: {reason}" for name, reason in ((design, new_refused), (baseline, old_refused)) if reason
     )
-    share = Estimate(NAN)
+    improvement = Estimate(NAN)
     if not refused and not old.value > 0:
         refused = f"{baseline}: its value is {old.value:g}, not above 0"
     if not refused:
         sign = 1 if condition.higher_is_better else -1
-        share = combined(
+        improvement = combined(
             sign * (new.value - old.value) / old.value,
             [(1 / old.value, new), (new.value / old.value**2, old)],
         )
-    return Improvement(condition, design, baseline, new, old, share, refused)
+    return Improvement(condition, design, baseline, new, old, improvement, refused)
 
 
 def _nodes(points: Iterable[TrialPoint]) -> list[tuple[Estimate, Estimate]]:
@@ -250,7 +250,7 @@ def _nodes(points: Iterable[TrialPoint]) -> list[tuple[Estimate, Estimate]]:
 
 
 def _averaged(values: Sequence[Estimate]) -> Estimate:
-    """Mean of trials under the same condition; their spread counts where it is more than each one's own says."""
+    """Mean of trials under the same condition; its uncertainty is the larger of the trials' own and their spread."""
     if len(values) == 1:
         return values[0]
     mean = float(np.mean([value.value for value in values]))
@@ -294,7 +294,7 @@ def _reach(points: Iterable[TrialPoint]) -> str:
 
 
 def _angles(own: Sequence[TrialPoint], original: Sequence[TrialPoint]) -> list[float]:
-    """Multiples of 5 degrees that both reach; NaN alone where there is none, so that it can be said."""
+    """Multiples of 5 degrees that both reach; [NaN] where there is none, so that the refusal is listed."""
     (low_a, high_a), (low_b, high_b) = _reached(own), _reached(original)
     low, high = max(low_a, low_b), min(high_a, high_b)
     return _multiples(low, high) or [NAN]

@@ -1,7 +1,7 @@
-"""What one angle-pressure loop is worth: its area, ratios, and width. Pure geometry of arrays.
+"""Numbers of one angle-pressure loop: its area, ratios and width. Pure geometry of arrays.
 
 A loop is (N, 2): pressure in kPa, angle in degrees, in the order of time, from lowest pressure to lowest pressure.
-Which loops there are, and how sure a number is, is `dynamic.py`.
+The loops and the uncertainty of the numbers are in `measured_cycles.py` and `dynamic.py`.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ import numpy as np
 
 from ..types import FloatArray
 
-# The width at mid pressure is read from a parabola through this share of the range on either side.
-_MID_SHARE = 0.15
+# The width at mid pressure is read from a parabola through this fraction of the range on either side.
+_MID_FRACTION = 0.15
 
 
 def loop_area_deg_kpa(loop: FloatArray) -> float:
@@ -46,21 +46,21 @@ def hysteresis_ratio_extremes(
 
 
 def mid_pressure_width_deg(up: FloatArray, down: FloatArray, low_kpa: float, high_kpa: float) -> float:
-    """Angle on the way down less that on the way up, half way between two pressures, deg.
+    """Angle while unloading minus angle while loading, half way between two pressures, deg.
 
     Parameters
     ----------
     up, down : ndarray of float
-        (N, 2) the two branches.
+        (N, 2) kPa and deg, the loading and the unloading branch.
     low_kpa, high_kpa : float
-        Of the cycle.
+        Lowest and largest pressure of the cycle.
 
     Returns
     -------
     float
         NaN where a branch has fewer than four pressures near the middle.
     """
-    middle, reach = (low_kpa + high_kpa) / 2, _MID_SHARE * (high_kpa - low_kpa)
+    middle, reach = (low_kpa + high_kpa) / 2, _MID_FRACTION * (high_kpa - low_kpa)
     at = [_parabola_at(branch, middle, reach) for branch in (up, down)]
     return at[1] - at[0]
 

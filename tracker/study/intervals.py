@@ -1,7 +1,7 @@
-"""A value with its standard uncertainty and degrees of freedom, and what may be done with several of them.
+"""A value with its standard uncertainty and degrees of freedom, and combinations of several.
 
-Student's t throughout; what is combined from several sources gets the effective degrees of freedom of Welch and
-Satterthwaite (GUM, G.4). Nothing here knows of angles or pressures.
+Student's t throughout; a combination of several sources gets the effective degrees of freedom of Welch and
+Satterthwaite (GUM, G.4). Independent of angles and pressures.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ class Estimate:
         return self.value - half, self.value + half
 
     def p_value(self) -> float:
-        """Two-sided probability of a value so far from 0, were the truth 0."""
+        """Two-sided p-value of the null hypothesis that the true value is 0."""
         if not self.sd > 0:
             return NAN
         off = -abs(self.value / self.sd)
         return 2 * float(special.ndtr(off) if math.isinf(self.dof) else special.stdtr(self.dof, off))
 
 
-def student_quantile(share: float, dof: float) -> float:
-    """Below which value a `share` of Student's distribution lies; the normal one's for infinite `dof`."""
-    return float(special.ndtri(share) if math.isinf(dof) else special.stdtrit(dof, share))
+def student_quantile(probability: float, dof: float) -> float:
+    """Quantile of Student's distribution at `probability`; of the normal one for infinite `dof`."""
+    return float(special.ndtri(probability) if math.isinf(dof) else special.stdtrit(dof, probability))
 
 
 def mean_of(values: ArrayLike) -> Estimate:
@@ -62,11 +62,11 @@ def combined(value: float, parts: Sequence[tuple[float, Estimate]]) -> Estimate:
     total = sum(variances)
     if not total > 0:
         return Estimate(value, math.sqrt(total) if total == total else NAN)
-    share = sum(
+    reciprocal_dof = sum(
         variance**2 / part.dof
         for variance, part in zip(variances, (part for slope, part in parts if slope != 0), strict=True)
     )
-    return Estimate(value, math.sqrt(total), total**2 / share if share > 0 else math.inf)
+    return Estimate(value, math.sqrt(total), total**2 / reciprocal_dof if reciprocal_dof > 0 else math.inf)
 
 
 def line_through(x: FloatArray, y: FloatArray, at: float) -> tuple[Estimate, Estimate]:
@@ -86,10 +86,10 @@ def line_through(x: FloatArray, y: FloatArray, at: float) -> tuple[Estimate, Est
 
 def holm_adjusted(p_values: Sequence[float]) -> list[float]:
     """Holm's adjusted p-values (Scand. J. Statist. 6, 1979) of one family; NaN stays NaN and does not count."""
-    known = sorted((p, place) for place, p in enumerate(p_values) if p == p)
+    known = sorted((p, index) for index, p in enumerate(p_values) if p == p)
     adjusted = [NAN] * len(p_values)
     largest = 0.0
-    for rank, (p, place) in enumerate(known):
+    for rank, (p, index) in enumerate(known):
         largest = max(largest, min(1.0, p * (len(known) - rank)))
-        adjusted[place] = largest
+        adjusted[index] = largest
     return adjusted

@@ -1,7 +1,7 @@
 """Columns of a pressure log, and which of them is the time, the pressure, the reference wave, the sync channel.
 
-A column is taken by the name that the user gives or found by its header. Where two could be meant, none is taken.
-How files give columns is in `csv_log.py` and `matlab_log.py`.
+A column is taken by the name that the user gives or found by its header. Where two are possible, none is taken.
+Columns are read from files by `csv_log.py` and `matlab_log.py`.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ class LogColumn:
     Attributes
     ----------
     name : str
-        As in the file, without its unit.
+        Name as in the file, without its unit.
     unit : str or None
-        As `units.split_unit` gives it.
+        Unit as `units.split_unit` returns it.
     values : ndarray of float
-        (M,) NaN where a cell is empty or no number.
+        (M,) NaN where a cell is empty or not a number.
     is_clock : bool
         The values are seconds since 1970 (or since midnight), read from written dates or times of day.
     time : LogColumn or None
-        The clock that belongs to this column alone, where the file says so (MATLAB structures).
+        A clock that belongs to this column alone, where the file has one (MATLAB structures).
     number : int
-        Its place in the file, from 1.
+        Number of the column in the file, from 1.
     """
 
     name: str
@@ -53,7 +53,7 @@ class LogColumn:
 
 
 class ChosenColumns(NamedTuple):
-    """What the columns of a log are; None where there is none."""
+    """The chosen columns of a log; None where there is none."""
 
     pressure: LogColumn
     time: LogColumn | None
@@ -62,14 +62,14 @@ class ChosenColumns(NamedTuple):
 
 
 def choose_columns(columns: Sequence[LogColumn], asked: LogFormat, where: str) -> ChosenColumns:
-    """Pressure, time, reference and sync: those that the user names first, then what units and names say.
+    """Pressure, time, reference and sync: those named by the user first, then by units and names.
 
     `where` opens messages.
 
     Raises
     ------
     PressureLogError
-        A named column is not there, several could be meant, there is no pressure, or lengths do not fit.
+        A named column is missing, several are possible, there is no pressure, or lengths differ.
     """
     named = {
         key: named_column(columns, wanted, key, where)
@@ -104,7 +104,7 @@ def choose_columns(columns: Sequence[LogColumn], asked: LogFormat, where: str) -
 
 
 def named_column(columns: Sequence[LogColumn], wanted: str | int, key: str, where: str) -> LogColumn:
-    """The column that the user names, by its name (with or without what stands before a dot) or its number from 1.
+    """The column that the user names, by its name (with or without the part before a dot) or its number from 1.
 
     Raises
     ------

@@ -20,7 +20,7 @@ _ANGLE_WORDS = {"angle", "angles", "bending", "theta"}
 
 @dataclass(frozen=True)
 class ModelCurve:
-    """Pressure (S,) kPa and angle (S,) degrees of a model, in the order of the file, and where they are from."""
+    """Pressure (S,) kPa and angle (S,) degrees of a model, in the order of the file, and their provenance."""
 
     pressure_kpa: FloatArray
     angle_deg: FloatArray

@@ -1,4 +1,4 @@
-"""How a number with its interval is written for people: in the report, in figures, in LaTeX tables."""
+"""Numbers with their intervals as text, for the report, figures and LaTeX tables."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ _PLUS_MINUS = "\u00a0±\u00a0"
 
 
 def plain_number(value: float, decimals: int) -> str:
-    """A value with so many places, or a dash where it is missing.
+    """A value with this number of decimals, or a dash where it is missing.
 
+    Examples
+    --------
     >>> plain_number(-0.00004, 3), plain_number(float("nan"), 3), plain_number(-1.26, 1)
     ('0.000', '–', '−1.3')
     """
@@ -25,10 +27,12 @@ def plain_number(value: float, decimals: int) -> str:
 
 
 def with_interval(value: float, low: float, high: float, decimals: int) -> str:
-    """A value and half the width of its interval, with as many places more as the half needs to be seen.
+    """A value and half the width of its interval, with more decimals where the half width needs them.
 
     The value alone where there is no interval.
 
+    Examples
+    --------
     >>> with_interval(0.27912, 0.2756, 0.2826, 3).split()
     ['0.279', '±', '0.004']
     >>> with_interval(4.0, 3.983, 4.017, 1).split()

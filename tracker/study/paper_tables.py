@@ -1,6 +1,6 @@
-"""The tables that people read, after the paper's: which rows and columns, rounded to their intervals, as text.
+"""The report's tables, after the paper's: selected rows and columns, rounded to their intervals, as text.
 
-Full precision and every row are in the CSVs (`tables.py`); how a table is set is `latex.py` and `report_parts.py`.
+Full precision and every row are in the CSVs (`tables.py`); tables are typeset by `latex.py` and `report_parts.py`.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ class PaperTable:
     Attributes
     ----------
     name : str
-        Of its file, and of its label in LaTeX.
+        Name of its file, and of its label in LaTeX.
     caption, note : str
-        Above and below.
+        Text above and below the table.
     rows : tuple of tuple of str
-        One text a column.
+        One string for each column.
     grouped : bool
-        Rows with the same first cell belong together, a line stands between groups.
+        Rows with the same first cell form a group; groups are separated by a line.
     """
 
     name: str
@@ -54,12 +54,12 @@ class PaperTable:
 
 
 def paper_tables(results: StudyResults, labels: Mapping[str, str]) -> list[PaperTable]:
-    """All tables of a study that have rows, the most telling first.
+    """All tables of a study that have rows, the most important first.
 
     Parameters
     ----------
     labels : mapping of str to str
-        What a design is called, by its name.
+        Label of each design, by its name.
     """
     tables = [
         _constant_angle(results, labels),
@@ -88,7 +88,7 @@ def best_comparisons(constant_angle: pd.DataFrame) -> pd.DataFrame:
     return widest.loc[widest.groupby("frequency_hz")["improvement"].idxmax()]
 
 
-def interval_words(results: StudyResults) -> str:
+def interval_note(results: StudyResults) -> str:
     """What "±" means in the tables."""
     return f"± is half the {100 * results.confidence:g} % interval"
 
@@ -100,14 +100,14 @@ def interval_of(row: Row, column: str, decimals: int, *, scale: float = 1.0) -> 
 
 
 def percent_of(row: Row, column: str) -> str:
-    """A share with its interval, in per cent."""
+    """A fraction with its interval, in per cent."""
     if not math.isfinite(row[column]):
         return MISSING
     return f"{interval_of(row, column, 1, scale=100)}\u00a0%"
 
 
-def amount(value: float, unit: str) -> str:
-    """A nominal value with its unit, as it was given; a dash where it was not."""
+def with_unit(value: float, unit: str) -> str:
+    """A nominal value with its unit, as given; a dash where none was given."""
     return f"{value:g} {unit}" if math.isfinite(value) else MISSING
 
 
@@ -127,7 +127,7 @@ def _constant_angle(results: StudyResults, labels: Mapping[str, str]) -> PaperTa
         ),
         rows=tuple(
             (
-                amount(row["frequency_hz"], "Hz"),
+                with_unit(row["frequency_hz"], "Hz"),
                 f"{row['angle_deg']:g}°",
                 labels[row["design"]],
                 interval_of(row, "design_ratio", 3),
@@ -140,7 +140,7 @@ def _constant_angle(results: StudyResults, labels: Mapping[str, str]) -> PaperTa
         ),
         note=(
             f"At the largest compared angle that the design and {baseline} both reach, by straight lines between "
-            f"trials; all angles, and what was refused, in constant_angle.csv. {interval_words(results)}."
+            f"trials; all angles, and what was refused, in constant_angle.csv. {interval_note(results)}."
         ),
         grouped=True,
     )
@@ -166,8 +166,8 @@ def _responses(results: StudyResults, labels: Mapping[str, str]) -> PaperTable:
         ),
         rows=tuple(
             (
-                amount(row["frequency_hz"], "Hz"),
-                amount(row["pressure_pp_kpa"], "kPa"),
+                with_unit(row["frequency_hz"], "Hz"),
+                with_unit(row["pressure_pp_kpa"], "kPa"),
                 labels[row["design"]],
                 interval_of(row, "design_value", 2),
                 interval_of(row, "baseline_value", 2),
@@ -175,7 +175,7 @@ def _responses(results: StudyResults, labels: Mapping[str, str]) -> PaperTable:
             )
             for row in order.to_dict("records")
         ),
-        note=f"{interval_words(results)}.",
+        note=f"{interval_note(results)}.",
         grouped=True,
     )
 
@@ -185,11 +185,11 @@ def _ranking(results: StudyResults, labels: Mapping[str, str]) -> PaperTable:
     rows = []
     for row in results.ranking.to_dict("records"):
         by_angle = row["metric"] == "hysteresis_ratio"
-        held = f"{row['angle_deg']:g}°" if by_angle else amount(row["pressure_pp_kpa"], "kPa")
+        held = f"{row['angle_deg']:g}°" if by_angle else with_unit(row["pressure_pp_kpa"], "kPa")
         apart = row["apart_from_next"]
         rows.append(
             (
-                f"{words[row['metric']]}, {amount(row['frequency_hz'], 'Hz')}, {held}",
+                f"{words[row['metric']]}, {with_unit(row['frequency_hz'], 'Hz')}, {held}",
                 f"{row['rank']}",
                 labels[row["design"]],
                 interval_of(row, "value", 3 if by_angle else 2),
@@ -209,8 +209,8 @@ def _ranking(results: StudyResults, labels: Mapping[str, str]) -> PaperTable:
         rows=tuple(rows),
         note=(
             f"Larger dynamic responses and smaller ratios are better. Apart: the difference to the next design is "
-            f"beyond chance at {100 * (1 - results.confidence):g} % after Holm's correction for all pairs "
-            f"compared under the same condition. {interval_words(results)}."
+            f"significant at {100 * (1 - results.confidence):g} % after Holm's correction for all pairs "
+            f"compared under the same condition. {interval_note(results)}."
         ),
         grouped=True,
     )
@@ -244,8 +244,8 @@ def _trials(results: StudyResults, labels: Mapping[str, str]) -> PaperTable:
         rows=tuple(
             (
                 labels[row["design"]],
-                amount(row["frequency_hz"], "Hz"),
-                amount(row["pressure_pp_kpa"], "kPa"),
+                with_unit(row["frequency_hz"], "Hz"),
+                with_unit(row["pressure_pp_kpa"], "kPa"),
                 f"{used.get(row['trial'], 0)} of {complete.get(row['trial'], 0)}",
                 *(interval_of(row, column, decimals) for column, _, decimals in _TRIAL_METRICS),
                 plain_number(row["ratio_per_frame_shift"], 4),
@@ -254,7 +254,7 @@ def _trials(results: StudyResults, labels: Mapping[str, str]) -> PaperTable:
             for row in results.dynamic.to_dict("records")
         ),
         note=(
-            f"{interval_words(results)}. Shift: by how much the ratio would grow if the pressure were one frame "
+            f"{interval_note(results)}. Shift: by how much the ratio would grow if the pressure were one frame "
             f"earlier. Repeatability: spread (standard deviation) of the angle between cycles, "
             f"one frame's noise included. More columns in dynamic.csv, every cycle in cycles.csv."
         ),
@@ -284,7 +284,7 @@ def _static(results: StudyResults, labels: Mapping[str, str]) -> PaperTable:
             )
             for row in compared.to_dict("records")
         ),
-        note=f"First pressurisation; NRMSE over the range of the measured curve. {interval_words(results)}.",
+        note=f"First pressurisation; NRMSE over the range of the measured curve. {interval_note(results)}.",
     )
 
 
@@ -300,7 +300,7 @@ def _control(results: StudyResults) -> PaperTable:
             rows.append(
                 (
                     wave,
-                    amount(pressure, "kPa"),
+                    with_unit(pressure, "kPa"),
                     f"{len(here)}",
                     plain_number(pooled["rmse_kpa"], 2),
                     f"{plain_number(100 * pooled['nrmse'], 2)} %",

@@ -1,6 +1,6 @@
-"""A pressure log of any make: time in s and pressure in kPa, with what is wrong with it said, never smoothed over.
+"""A pressure log in any format: time in s and pressure in kPa; its faults are reported, never hidden.
 
-How files give columns is in `csv_log.py` and `matlab_log.py`; how the log comes to the frames in `trial_data.py`.
+Columns are read from files by `csv_log.py` and `matlab_log.py`; `trial_data.py` resamples the log at the frames.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from .log_format import LogFormat
 from .matlab_log import matlab_columns
 from .units import KPA_IN, PRESSURE_UNITS, SECONDS_IN, factor_to_kpa, known_unit
 
-# Without a written unit a time is taken to be in seconds only where that gives a rate that pressure is logged at.
+# Without a unit, times are taken as seconds only where that gives a plausible sampling rate.
 _PLAUSIBLE_HZ = (4.0, 20_000.0)
-# Numbers beyond this are no time from a start but a date: seconds since 1970 reach it in 2001.
+# Larger numbers are dates, not times from a start: seconds since 1970 passed this in 2001.
 _EPOCH = 1e9
 _EPOCH_UNITS = ((1e18, "ns"), (1e15, "us"), (1e12, "ms"), (_EPOCH, "s"))
 _DAY_S = 86_400.0
@@ -40,21 +40,21 @@ class PressureLog:
     Attributes
     ----------
     time_s : ndarray of float
-        (M,) rising; where dates were logged, from the first sample.
+        (M,) rising times, s; where dates were logged, from the first sample.
     pressure_kpa : ndarray of float
         (M,) NaN where the log has none.
     reference_kpa : ndarray of float or None
-        (M,) the wave that was asked for, if the log holds it.
+        (M,) the reference wave, if the log holds it.
     sync : ndarray of float or None
         (M,) the sync channel as logged, if there is one.
     started_s : float or None
-        Seconds since 1970 (UTC, or of a clock without zone) of time 0, where dates were logged.
+        Date of time 0, in seconds since 1970 (UTC, or a clock without zone), where dates were logged.
     time_sd_s : float
-        Uncertainty that the log's own clock adds (a clock that ticks coarsely).
+        Standard uncertainty of the log's own clock (coarse time resolution), s.
     saturated : ndarray of bool or None
-        (M,) samples held at an end of the sensor's range; None: there are none.
+        (M,) samples saturated at a limit of the sensor's range; None where there are none.
     warnings : tuple of str
-        A line each.
+        Warnings, a line each.
     provenance : mapping of str to Any
         JSON-ready: file, hash, columns, units, rate.
     """
@@ -73,14 +73,14 @@ class PressureLog:
 def read_pressure_log(path: str | Path, log_format: LogFormat | None = None) -> PressureLog:
     """Read a pressure log: a text table (CSV of any delimiter and decimal sign) or a MATLAB file (v5, v7.3).
 
-    Columns and units are as `log_format` says, else as the headers say ("P [kPa]", "pressure_psi", "t (ms)").
-    Times may be numbers, written dates or times of day. Rows are put in the order of time as `log_clock`
-    says; gaps, repeats, clock jumps, saturation, constant and negative pressure are told in `warnings`.
+    Columns and units are taken from `log_format`, else from the headers ("P [kPa]", "pressure_psi", "t (ms)").
+    Times may be numbers, written dates or times of day. Rows are sorted by time as in `log_clock`;
+    gaps, repeats, clock jumps, saturation, constant and negative pressure are reported in `warnings`.
 
     Raises
     ------
     PressureLogError
-        Not a log; a column, unit or clock is missing, or several could be meant (they are listed).
+        Not a log; a column, unit or clock is missing, or several are possible (they are listed).
     """
     path, log_format = Path(path), log_format or LogFormat()
     columns, warnings = _columns_of(path)
@@ -108,10 +108,10 @@ def read_pressure_log(path: str | Path, log_format: LogFormat | None = None) -> 
         pressure_kpa=kpa,
         reference_kpa=None
         if reference is None
-        else _beside(reference, pressure, seconds, log_format, path)[clock.rows],
+        else _reference_kpa(reference, pressure, seconds, log_format, path)[clock.rows],
         sync=None if sync is None else sync.values[clock.rows],
         started_s=started_s,
-        # A sample's true time lies anywhere in its tick.
+        # A sample's true time is uniformly distributed within one tick.
         time_sd_s=clock.tick_s / 12**0.5,
         saturated=saturated if saturated.any() else None,
         warnings=(*warnings, *clock.warnings, *faults),
@@ -151,7 +151,7 @@ def _counted(n_samples: int, asked: LogFormat, where: str) -> FloatArray:
 
 
 def _seconds(time: LogColumn, asked: LogFormat, where: str) -> tuple[FloatArray, float | None, list[str]]:
-    """Times (N,) in s, the date of time 0 where dates were logged, and what was worked around."""
+    """Times (N,) in s, the date of time 0 where dates were logged, and warnings."""
     values = time.values
     notes: list[str] = []
     if np.isfinite(values).sum() < 2:
@@ -205,17 +205,17 @@ def _agreed(written: str | None, given: str | None, what: str, where: str, name:
     if written is not None and known_unit(written) is not None and written != given:
         raise PressureLogError(
             f"{where}: column '{name}' is in {written} by its header, {what}_unit says {given}; "
-            f"leave {what}_unit out, or mend the header"
+            f"leave {what}_unit out, or correct the header"
         )
     return given
 
 
-def _beside(
+def _reference_kpa(
     reference: LogColumn, pressure: LogColumn, seconds: FloatArray, asked: LogFormat, path: Path
 ) -> FloatArray:
     """The reference wave in kPa at the pressure's samples. Without a unit of its own it has the pressure's."""
     own = replace(reference, unit=reference.unit or pressure.unit)
-    # A wave asked for in kPa stands beside a sensor's voltage.
+    # The reference may be in kPa where the sensor's voltage was logged.
     if own.unit in KPA_IN and own.unit != pressure.unit:
         asked = LogFormat()
     kpa, _ = _kpa(own, asked, str(path))

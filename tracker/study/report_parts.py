@@ -1,4 +1,4 @@
-"""Pieces of the HTML report: tables, figures, lists, the table of contents. All text that comes in is escaped here.
+"""Elements of the HTML report: tables, figures, lists, the table of contents. All text is escaped here.
 
 A function that returns HTML has a name that ends in `_html`; everything else is text.
 """
@@ -15,7 +15,7 @@ from .paper_tables import PaperTable
 
 @dataclass(frozen=True)
 class Part:
-    """A part of the report: its heading, its address within the page, its content as HTML, and its own parts."""
+    """A section of the report: its heading, its anchor, its content as HTML, and its subsections."""
 
     heading: str
     anchor: str
@@ -50,7 +50,7 @@ def list_html(texts: Iterable[str], css_class: str = "") -> str:
 
 
 def definitions_html(entries: Iterable[tuple[str, str, str]]) -> str:
-    """Terms with what they mean and, where there is one, their formula: (term, text, formula)."""
+    """Terms with their meaning and, where there is one, their formula: (term, text, formula)."""
     lines = []
     for term, text, formula in entries:
         shown = f'<span class="formula">{escape(formula)}</span>' if formula else ""
@@ -67,9 +67,9 @@ def table_html(table: PaperTable, *, rows_in_view: int = 16) -> str:
     )
     body = []
     before = ""
-    for place, row in enumerate(table.rows):
+    for index, row in enumerate(table.rows):
         again = table.grouped and row[0] == before
-        turn = table.grouped and place > 0 and not again
+        turn = table.grouped and index > 0 and not again
         own = [f"{classes[0]} again".strip() if again else classes[0], *classes[1:]]
         cells = "".join(f"<td{_class(css)}>{escape(cell)}</td>" for cell, css in zip(row, own, strict=True))
         body.append(f"<tr{_class('turn' if turn else '')}>{cells}</tr>")
@@ -84,7 +84,7 @@ def table_html(table: PaperTable, *, rows_in_view: int = 16) -> str:
 
 
 def figure_html(png: bytes, *, name: str, alt: str, caption: str, css_class: str = "") -> str:
-    """A picture within the page, with its file's name in the caption."""
+    """An embedded image with its caption."""
     data = base64.b64encode(png).decode("ascii")
     lead = f"<b>{escape(name)}</b> " if name else ""
     return (
@@ -93,7 +93,7 @@ def figure_html(png: bytes, *, name: str, alt: str, caption: str, css_class: str
     )
 
 
-def key_html(entries: Sequence[tuple[str, str]]) -> str:
+def legend_html(entries: Sequence[tuple[str, str]]) -> str:
     """The designs' colours: (label, "#rrggbb")."""
     items = "".join(
         f'<li><i style="background:{escape(colour)}"></i>{escape(label)}</li>' for label, colour in entries
@@ -101,8 +101,8 @@ def key_html(entries: Sequence[tuple[str, str]]) -> str:
     return f'<ul class="key">{items}</ul>' if items else ""
 
 
-def folded_html(heading: str, aside: str, mark: str, content_html: str, anchor: str) -> str:
-    """A line that opens: heading, something quiet beside it, a mark at its end where there is something to see."""
+def collapsed_html(heading: str, aside: str, mark: str, content_html: str, anchor: str) -> str:
+    """A collapsed element (`details`): heading, a muted note next to it, a mark at its end."""
     marked = f'<span class="mark">{escape(mark)}</span>' if mark else ""
     return (
         f'<details id="{escape(anchor)}"><summary><span>{escape(heading)}</span>'

@@ -1,4 +1,4 @@
-"""The study file (TOML): its trials, designs, how logs are read and clocks brought together; checked, then resolved.
+"""The study file (TOML): its trials, designs, how logs are read and clocks synchronised; checked, then resolved.
 
 A first one is written by `first_study.py`; a trial's data are read by `trial_data.py`.
 """
@@ -17,13 +17,13 @@ from pydantic import AfterValidator, Field, ValidationError, field_validator, mo
 from pydantic_core import PydanticCustomError
 
 from ..errors import StudyError
-from ..toml_files import Section, mistake_in_words, toml_text
+from ..toml_files import Section, toml_text, validation_message
 from ..types import Flag
 from .designs import DesignSettings, design_colours
 from .log_format import LogFormat
 from .trial import Kind
 
-# Rows with these flags hold an angle, and a study may keep them; the others hold none.
+# Flags of rows that hold an angle, which a study may keep; rows with other flags hold none.
 _KEEPABLE = (Flag.LOW_LIKELIHOOD, Flag.JUMP, Flag.DAMAGED)
 # The design that the others are compared with, where the file names none.
 _USUAL_BASELINE = "original"
@@ -63,7 +63,7 @@ class SyncSettings(Section):
     led_region_px : tuple of (int, int, int, int) or None
         X, y, width, height in px of the region where the lamp is seen.
     log_window_s, video_window_s : tuple of (float, float) or None
-        Where to look for the event, on each one's own clock.
+        Time window of the event, on the log's and on the video's clock.
     """
 
     method: Literal["shared clock", "given delay", "sync event"] = "shared clock"
@@ -173,7 +173,7 @@ class _StudyEntries(Section):
 
 @dataclass(frozen=True)
 class TrialSettings:
-    """One trial of a study, all that the file says for all trials filled in, paths ready to be opened.
+    """One trial of a study, with the file's defaults filled in and its paths resolved.
 
     Attributes
     ----------
@@ -182,7 +182,7 @@ class TrialSettings:
     kind : Kind
         Static or dynamic.
     frequency_hz, pressure_pp_kpa : float or None
-        Nominal.
+        Nominal frequency and peak-to-peak pressure, None where not given.
     angles : Path or None
         Angle table; None where it is looked up by `video` in the results.
     video : Path or None
@@ -196,7 +196,7 @@ class TrialSettings:
     sync : SyncSettings
         How the log's clock is brought to the video's.
     angle_common_sd_deg : float
-        Standard uncertainty that all angles of the trial share.
+        Standard uncertainty common to all angles of the trial.
     """
 
     name: str
@@ -221,22 +221,22 @@ class Study:
     Attributes
     ----------
     path : Path
-        The file.
+        Path of the study file.
     title : str
-        Of the report.
+        Title of the report.
     baseline : str or None
         The design that the others are compared with; None where the file names none and there is no
         "original".
     designs : dict of str to DesignSettings
-        By name, in the order of the file.
+        Designs by name, in the order of the file.
     trials : tuple of TrialSettings
-        In the order of the file.
+        Trials in the order of the file.
     results : Path or None
         Folder of angle tables, in which a trial's video is looked up.
     keep_flagged : tuple of str
-        Flags (see `types.Flag`) of rows whose angle is used all the same; other flagged rows are gaps.
+        Flags (see `types.Flag`) of rows whose angle is used; other flagged rows are gaps.
     compare_angles_deg : tuple of float
-        Where hysteresis ratios of designs are compared; empty leaves it to the analysis.
+        Angles at which hysteresis ratios are compared; empty: chosen by the analysis.
     """
 
     path: Path
@@ -250,7 +250,7 @@ class Study:
 
     @property
     def root(self) -> Path:
-        """The folder that paths in the file begin from."""
+        """The folder to which paths in the file are relative."""
         return self.path.parent
 
 
@@ -260,7 +260,8 @@ def read_study(path: str | Path) -> Study:
     Raises
     ------
     StudyError
-        No such file, not TOML, an unknown key, a wrong value; with the key, what was expected and what came.
+        No such file, not TOML, an unknown key, a wrong value; the message gives the key, what was expected and what
+        was found.
     """
     path = Path(path)
     if not path.is_file():
@@ -269,7 +270,7 @@ def read_study(path: str | Path) -> Study:
     try:
         entries = _StudyEntries.model_validate(raw)
     except ValidationError as error:
-        raise StudyError(f"{path}: {mistake_in_words(error, _StudyEntries)}") from error
+        raise StudyError(f"{path}: {validation_message(error, _StudyEntries)}") from error
     used = dict.fromkeys(trial.design for trial in entries.trials)
     names = list(entries.designs) or list(used)
     chosen = {name: entry.colour for name, entry in entries.designs.items() if entry.colour is not None}
@@ -288,7 +289,7 @@ def read_study(path: str | Path) -> Study:
 
 
 def _resolved(trial: _TrialEntry, study: _StudyEntries, root: Path) -> TrialSettings:
-    """The trial with the study's settings where it has none of its own. A trial's sync stands for itself."""
+    """The trial with the study's settings where it has none. A trial's `sync` replaces the study's as a whole."""
     own = trial.log_format.model_dump(exclude_unset=True) if trial.log_format else {}
     common_sd_deg = trial.angle_common_sd_deg
     return TrialSettings(

@@ -33,5 +33,5 @@ def write_csv_tables(tables: Mapping[str, pd.DataFrame], folder: str | Path) -> 
 
 
 def _as_cell(value: Any) -> Any:
-    """Several numbers in one cell are parted by spaces, so that they come apart again in any language."""
+    """Several numbers in one cell are separated by spaces, which any language can split."""
     return " ".join(map(str, value)) if isinstance(value, tuple) else value

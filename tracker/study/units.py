@@ -1,4 +1,4 @@
-"""Units of pressure and time: what a header may call them, and what they are in kPa and s. No file is read here."""
+"""Units of pressure and time: their spellings in headers, and their factors to kPa and s. No file is read here."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import re
 
 from ..errors import PressureLogError
 
-# Exact by definition, but for psi (1 lbf / in2, six digits more than any sensor has).
+# Exact by definition, except psi (1 lbf / in2, six digits more than any sensor has).
 KPA_IN = {
     "kPa": 1.0,
     "Pa": 0.001,
@@ -47,8 +47,10 @@ _WORDS = re.compile(r"[^\W_]+")
 
 
 def known_unit(text: str) -> str | None:
-    """The unit that a text means, in this module's spelling; None if it is none. "mPa" is not taken for "MPa".
+    """The unit named by a text, in this module's spelling; None if there is none. "mPa" is not read as "MPa".
 
+    Examples
+    --------
     >>> known_unit("KPA"), known_unit("seconds"), known_unit("mPa"), known_unit("apples")
     ('kPa', 's', None, None)
     """
@@ -66,7 +68,7 @@ def split_unit(header: str) -> tuple[str, str | None]:
     Returns
     -------
     name : str
-        The header without its unit.
+        Name of the column, without its unit.
     unit : str or None
         As `known_unit` spells it; text in brackets that is no known unit is returned unchanged.
 
@@ -91,13 +93,15 @@ def split_unit(header: str) -> tuple[str, str | None]:
 
 
 def words_of(name: str) -> set[str]:
-    """Words of a name, in small letters, parted at signs, digits' ends and capitals.
+    """Words of a name in lower case, split at punctuation and before capitals.
 
+    Examples
+    --------
     >>> sorted(words_of("PressureRef_2"))
     ['2', 'pressure', 'ref']
     """
-    parted = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
-    return {word.lower() for word in _WORDS.findall(parted)}
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
+    return {word.lower() for word in _WORDS.findall(spaced)}
 
 
 def factor_to_kpa(unit: str, gain_kpa_per_v: float | None, where: str) -> float:
@@ -106,7 +110,7 @@ def factor_to_kpa(unit: str, gain_kpa_per_v: float | None, where: str) -> float:
     Raises
     ------
     PressureLogError
-        Not a pressure, or a voltage without a gain, or a gain without a voltage. `where` opens the message.
+        Not a pressure, or a voltage without a gain, or a gain without a voltage. `where` begins the message.
     """
     if unit in KPA_IN:
         if gain_kpa_per_v is not None:

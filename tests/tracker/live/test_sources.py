@@ -17,7 +17,7 @@ import pytest
 from bendtrack.tracker.angle import AngleDefinition
 from bendtrack.tracker.errors import VideoError
 from bendtrack.tracker.live.cameras import Camera, CameraMode, cameras, find_camera, opening
-from bendtrack.tracker.live.newest_first import measure_live
+from bendtrack.tracker.live.low_latency import measure_live
 from bendtrack.tracker.live.sources import PlayedFile, Stream, open_source
 from bendtrack.tracker.video import Video
 

@@ -18,7 +18,7 @@ import pytest
 from bendtrack.tracker.angle import AngleDefinition
 from bendtrack.tracker.container import Orientation
 from bendtrack.tracker.errors import AngleError, BendtrackError, VideoError
-from bendtrack.tracker.live.newest_first import Arrival, LiveValue, measure_live
+from bendtrack.tracker.live.low_latency import Arrival, LiveValue, measure_live
 from bendtrack.tracker.live.output import COLUMNS, HEADER, UdpTarget, line_of
 from bendtrack.tracker.live.recording import Recording
 from bendtrack.tracker.live.sources import PlayedFile
@@ -110,8 +110,8 @@ def test_while_the_detector_works_only_the_newest_frame_is_kept(film):
             done.set()
     assert [value.frame for value in values] == [0, 4, 5]
     assert [number_of(value) for value in values] == [0, 4, 5]
-    assert [value.passed_over for value in values] == [0, 3, 0]
-    assert values[1].passed_over_s == pytest.approx((1 / 60, 2 / 60, 3 / 60))
+    assert [value.dropped for value in values] == [0, 3, 0]
+    assert values[1].dropped_s == pytest.approx((1 / 60, 2 / 60, 3 / 60))
     assert all(value.latency_ms > 0 for value in values)
 
 
@@ -127,15 +127,15 @@ def test_a_file_is_not_waited_for_either(film, short_video):
 
     values = list(measure_live(source, Slow(), ANGLE))
     assert [value.frame for value in values] == [0, 11]
-    assert values[1].passed_over == 10
+    assert values[1].dropped == 10
     assert values[1].angle_deg == pytest.approx(120, abs=1.5)
     # The last frame waited for the first to be measured, not longer; the first took as long as the film.
     assert values[0].latency_ms > values[1].latency_ms
     assert values[0].latency_ms >= 1e3 * 11 / 60
 
 
-def test_the_detector_is_told_of_frames_that_it_is_spared(film):
-    told: list[int] = []
+def test_the_detector_is_notified_of_dropped_frames(film):
+    dropped: list[int] = []
     at_work, kept = threading.Event(), threading.Event()
 
     def script(stop: threading.Event) -> Iterator[np.ndarray | None]:
@@ -145,9 +145,9 @@ def test_the_detector_is_told_of_frames_that_it_is_spared(film):
             yield film.draw_arm(10.0 * n)
         kept.set()
 
-    class OfOneVideo(film.DiscDetector):
-        def pass_over(self, frames: int) -> None:
-            told.append(frames)
+    class DetectorOfOneVideo(film.DiscDetector):
+        def skip_frames(self, count: int) -> None:
+            dropped.append(count)
 
         def detect(self, frames: np.ndarray) -> Detections:
             at_work.set()
@@ -157,15 +157,15 @@ def test_the_detector_is_told_of_frames_that_it_is_spared(film):
     class Follows(film.DiscDetector):
         workers = 1
 
-        def stretch_frames(self, size_wh: tuple[int, int], frames: int | None) -> int:
+        def chunk_frames(self, size_wh: tuple[int, int], frames: int | None) -> int:
             return self.batch_size
 
-        def follow(self) -> OfOneVideo:
-            return OfOneVideo()
+        def follow(self) -> DetectorOfOneVideo:
+            return DetectorOfOneVideo()
 
     values = list(measure_live(Scripted(script, (160, 120)), Follows(), ANGLE))
     assert [value.frame for value in values] == [0, 3]
-    assert told == [2]
+    assert dropped == [2]
 
 
 # --- what a value means
@@ -275,7 +275,7 @@ def value_of(**changes: Any) -> LiveValue:
         "likelihood": 0.87654,
         "flag": Flag.LOW_LIKELIHOOD,
         "latency_ms": 12.3456,
-        "passed_over_s": (0.1, 0.2),
+        "dropped_s": (0.1, 0.2),
         "found": nothing,
     }
     return LiveValue(**{**fields, **changes})

@@ -1,4 +1,4 @@
-"""What tells the designs of a study apart in every figure: colour, marker and line style, never colour alone."""
+"""Styles that distinguish the designs of a study in every figure: colour, marker and line, never colour alone."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ _LINES: tuple[Any, ...] = (
     (0, (2.5, 1)),
     (0, (8, 1.2, 2, 1.2)),
 )
-# How dark the edge of a mark is beside its colour, so that pale colours stand out from white too.
+# Brightness of a marker's edge relative to its colour, so that pale colours are visible on white.
 _EDGE = 0.62
 
 
 @dataclass(frozen=True)
-class Look:
+class DesignStyle:
     """How one design is drawn.
 
     Attributes
     ----------
     label : str
-        Its name in legends.
+        Name of the design in legends.
     colour : str
-        As the study file gives it, hex.
+        Colour of the study file, hex.
     edge : str
-        The same, darker.
+        Colour of edges: the same, darker.
     marker : str
-        Matplotlib's marker.
+        Marker, as matplotlib's.
     line : str or tuple
-        Matplotlib's line style.
+        Line style, as matplotlib's.
     """
 
     label: str
@@ -63,17 +63,17 @@ class Look:
         )
 
 
-def looks_of(designs: Iterable[tuple[str, str, str]]) -> dict[str, Look]:
-    """The look of each design, given (name, label, colour) in the study's order, by name."""
+def design_styles(designs: Iterable[tuple[str, str, str]]) -> dict[str, DesignStyle]:
+    """The style of each design by name, from (name, label, colour) in the study's order."""
     return {
-        name: Look(
+        name: DesignStyle(
             label=label,
             colour=to_hex(colour),
             edge=_darker(colour),
-            marker=_MARKERS[place % len(_MARKERS)],
-            line=_LINES[place % len(_LINES)],
+            marker=_MARKERS[index % len(_MARKERS)],
+            line=_LINES[index % len(_LINES)],
         )
-        for place, (name, label, colour) in enumerate(designs)
+        for index, (name, label, colour) in enumerate(designs)
     }
 
 
