@@ -90,6 +90,18 @@ def default_points(definition_name: str, keypoints: Sequence[str]) -> tuple[str,
     `two-vector` and `arc-fit` take all keypoints, `three-point` the first, the middle (of an even number
     the one nearer the base) and the last, `chord` the first two and the last.
 
+    Parameters
+    ----------
+    definition_name : str
+        One of `DEFINITIONS`.
+    keypoints : sequence of str
+        All keypoint names of the project, base to tip.
+
+    Returns
+    -------
+    tuple of str
+        Names of the chain's points, base to tip.
+
     Raises
     ------
     AngleError
@@ -214,7 +226,21 @@ def end_vector_px(xy: FloatArray, keypoints: Sequence[str], definition: AngleDef
     """Length of the shorter of the two end vectors of the chain, each as its median over the frames, in px.
 
     The longer it is, the less an error of a point turns it. For `chord` the second vector is the chord.
-    NaN when no frame has the points of one of them.
+    NaN where no frame has the points of one of the two vectors.
+
+    Parameters
+    ----------
+    xy : ndarray of float
+        (T, K, 2) px, NaN where unknown.
+    keypoints : sequence of str
+        K names, in the order of `xy`.
+    definition : AngleDefinition
+        Which angle, of which points.
+
+    Returns
+    -------
+    float
+        Length, px.
     """
     points = _chain(xy, keypoints, definition)
     last_start = 1 if definition.name == "chord" else -2
@@ -231,6 +257,20 @@ def label_noise_floor_deg(sigma_px: float, n_labels: int, end_vector_px: float) 
 
     Averaged over the labels a point is off by sigma / sqrt(n) across its vector of length L; its two points
     turn a vector by sqrt(2) sigma / (sqrt(n) L), and two such vectors turn the angle by the figure above.
+
+    Parameters
+    ----------
+    sigma_px : float
+        Standard deviation of one label's position, px.
+    n_labels : int
+        Number of labelled frames.
+    end_vector_px : float
+        Length of an end vector, px (see `end_vector_px`).
+
+    Returns
+    -------
+    float
+        Standard deviation of the angle, degrees; NaN without labels or for a length that is not positive.
 
     Examples
     --------

@@ -29,8 +29,21 @@ def is_up_to_date(
 
     Parameters
     ----------
+    out_dir : str or Path
+        Folder of the results.
+    stem : str
+        Name of the results files, without suffix.
+    video_sha256 : str
+        SHA-256 of the video.
+    detector_provenance : mapping of str to Any
+        `Detector.provenance` of the detector.
     settings : mapping of str to Any or None
-        As `tracking.tracking_settings` gives them; None where they follow from video and detector.
+        Settings from `tracking.tracking_settings`; None where they follow from video and detector.
+
+    Returns
+    -------
+    bool
+        Whether the results are up to date.
     """
     folder = Path(out_dir)
     try:
@@ -73,6 +86,20 @@ def choose_stem(out_dir: str | Path, video: str | Path, video_sha256: str) -> St
 
     A video is identified by its content (SHA-256). Where the files under its stem belong to another or an unknown
     video, the first digits of the video's own hash are appended: the same name every time.
+
+    Parameters
+    ----------
+    out_dir : str or Path
+        Folder of the results.
+    video : str or Path
+        The video file.
+    video_sha256 : str
+        SHA-256 of the video.
+
+    Returns
+    -------
+    StemChoice
+        The name, and a note where it is not the video's own stem.
     """
     own = video_stem(video)
     folder = Path(out_dir)
@@ -110,6 +137,22 @@ def record_file(out_dir: str | Path, stem: str, path: Path) -> None:
     """Record the hash of a figure or an overlay, made from a table, in the table's JSON.
 
     A table that is written again gets a new JSON without this hash, so files made from the old table are detected.
+
+    Parameters
+    ----------
+    out_dir : str or Path
+        Folder of the results.
+    stem : str
+        Name of the results files, without suffix.
+    path : Path
+        The figure or overlay.
+
+    Raises
+    ------
+    ResultsError
+        The JSON record cannot be read.
+    OSError
+        A file cannot be read or written.
     """
     json_path = Path(out_dir) / f"{stem}.json"
     record = read_record(json_path)
@@ -118,7 +161,22 @@ def record_file(out_dir: str | Path, stem: str, path: Path) -> None:
 
 
 def is_recorded(out_dir: str | Path, stem: str, path: Path) -> bool:
-    """Whether a figure or an overlay was made from the current table (see `record_file`)."""
+    """Whether a figure or an overlay was made from the current table (see `record_file`).
+
+    Parameters
+    ----------
+    out_dir : str or Path
+        Folder of the results.
+    stem : str
+        Name of the results files, without suffix.
+    path : Path
+        The figure or overlay.
+
+    Returns
+    -------
+    bool
+        Whether its hash is the recorded one.
+    """
     try:
         files = read_record(Path(out_dir) / f"{stem}.json").get("files", {})
         return bool(files.get(path.suffix[1:]) == file_sha256(path))

@@ -26,14 +26,33 @@ _NOT_VIDEO_FORMATS = ("_pipe", "image2", "tty")
 
 @dataclass(frozen=True)
 class Orientation:
-    """How a decoded frame is turned for display: transposed first, then flipped."""
+    """How a decoded frame is turned for display: transposed first, then flipped.
+
+    Attributes
+    ----------
+    transpose : bool
+        Whether rows and columns are exchanged, before any flip.
+    flip_x, flip_y : bool
+        Whether the image is then mirrored along x, along y.
+    """
 
     transpose: bool = False
     flip_x: bool = False
     flip_y: bool = False
 
     def apply(self, image: ImageArray) -> ImageArray:
-        """Turn an image (H, W, 3) as decoded into the image as displayed, contiguous."""
+        """Turn an image (H, W, 3) as decoded into the image as displayed, contiguous.
+
+        Parameters
+        ----------
+        image : ndarray of uint8
+            (H, W, 3) as decoded.
+
+        Returns
+        -------
+        ndarray of uint8
+            (H, W, 3) as displayed; H and W are exchanged by a transposition.
+        """
         if self.transpose:
             image = image.swapaxes(0, 1)
         return np.ascontiguousarray(image[:: -1 if self.flip_y else 1, :: -1 if self.flip_x else 1])
@@ -42,6 +61,13 @@ class Orientation:
 @contextmanager
 def open_video(path: Path, threads: int) -> Iterator[tuple[InputContainer, av.VideoStream]]:
     """Open a file and its first video stream that is not a cover image, ready to decode.
+
+    Parameters
+    ----------
+    path : Path
+        The video file.
+    threads : int
+        Number of decoding threads.
 
     Raises
     ------
@@ -101,6 +127,20 @@ def _video_stream(container: InputContainer, path: Path) -> av.VideoStream:
 def first_frame(container: InputContainer, stream: av.VideoStream, path: Path) -> av.VideoFrame:
     """The first frame decoded without error, for size and orientation.
 
+    Parameters
+    ----------
+    container : InputContainer
+        The open file.
+    stream : VideoStream
+        Its video stream.
+    path : Path
+        Path of the file, for messages.
+
+    Returns
+    -------
+    VideoFrame
+        The frame.
+
     Raises
     ------
     VideoError
@@ -132,6 +172,11 @@ def orientation(frame: av.VideoFrame) -> tuple[Orientation, int, str | None]:
     The matrix takes a decoded (x, y) to the displayed (a x + c y, b x + d y). Only quarter turns and
     mirrors are applied, which keep pixels whole.
 
+    Parameters
+    ----------
+    frame : VideoFrame
+        A decoded frame, with its side data.
+
     Returns
     -------
     orientation : Orientation
@@ -154,7 +199,18 @@ def orientation(frame: av.VideoFrame) -> tuple[Orientation, int, str | None]:
 
 
 def claimed_frames(stream: av.VideoStream) -> int | None:
-    """Frame count claimed by the container: its own counter, or a tag of some Matroska writers; None without either."""
+    """Frame count claimed by the container: its own counter, or a tag of some Matroska writers; None without either.
+
+    Parameters
+    ----------
+    stream : VideoStream
+        The video stream.
+
+    Returns
+    -------
+    int or None
+        The number of frames.
+    """
     if stream.frames:
         return int(stream.frames)
     for tag, value in stream.metadata.items():
@@ -164,7 +220,20 @@ def claimed_frames(stream: av.VideoStream) -> int | None:
 
 
 def claimed_duration_s(container: InputContainer, stream: av.VideoStream) -> float | None:
-    """Length of the video stream in s according to the container, None where it does not say."""
+    """Length of the video stream in s according to the container, None where it does not say.
+
+    Parameters
+    ----------
+    container : InputContainer
+        The open file.
+    stream : VideoStream
+        Its video stream.
+
+    Returns
+    -------
+    float or None
+        Seconds.
+    """
     if stream.duration is not None and stream.time_base:
         return float(stream.duration * stream.time_base)
     for tag, value in stream.metadata.items():  # Matroska: 00:00:04.000000000

@@ -82,7 +82,15 @@ class CurveInset:
         self._mix(0, width)
 
     def draw(self, image: ImageArray, index: int) -> None:
-        """Draw the chart as of frame `index`; call for 0, 1, 2, ... in order."""
+        """Draw the chart as of frame `index`; call for 0, 1, 2, ... in order.
+
+        Parameters
+        ----------
+        image : ndarray of uint8
+            RGB uint8 (H, W, 3), drawn on in place.
+        index : int
+            Index of the frame.
+        """
         if not self._shown:
             return
         if self._step(self._bright, index, 255, 2.0 * self._scale):

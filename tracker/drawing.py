@@ -30,13 +30,35 @@ _SHIFT = 4  # OpenCV's fixed-point positions: sixteenths of a px
 
 
 def lines(image: ImageArray, points: FloatArray, colour: Colour, width: float) -> None:
-    """An open line through (N, 2) positions."""
+    """An open line through (N, 2) positions.
+
+    Parameters
+    ----------
+    image : ndarray of uint8
+        RGB uint8 (H, W, 3), drawn on in place.
+    points : ndarray of float
+        (N, 2) px.
+    colour : Colour
+        RGB, or one level for a mask.
+    width : float
+        Line width, px.
+    """
     fixed = _fixed(points)
     cv2.polylines(image, [fixed[:, None]], False, colour, max(1, round(width)), cv2.LINE_AA, _SHIFT)
 
 
 def polygon(image: ImageArray, points: FloatArray, colour: Colour) -> None:
-    """A filled shape with (N, 2) corners."""
+    """A filled shape with (N, 2) corners.
+
+    Parameters
+    ----------
+    image : ndarray of uint8
+        RGB uint8 (H, W, 3), drawn on in place.
+    points : ndarray of float
+        (N, 2) px, the corners.
+    colour : Colour
+        RGB, or one level for a mask.
+    """
     fixed = _fixed(points)
     cv2.fillPoly(image, [fixed[:, None]], colour, cv2.LINE_AA, _SHIFT)
 
@@ -47,7 +69,19 @@ def _fixed(points: FloatArray) -> np.ndarray:
 
 
 def disc(image: ImageArray, centre: FloatArray, radius: float, colour: Colour) -> None:
-    """A filled circle around (2,)."""
+    """A filled circle around (2,).
+
+    Parameters
+    ----------
+    image : ndarray of uint8
+        RGB uint8 (H, W, 3), drawn on in place.
+    centre : ndarray of float
+        (2,) px.
+    radius : float
+        Radius, px.
+    colour : Colour
+        RGB, or one level for a mask.
+    """
     # By the fraction of each px that it covers: OpenCV's small circles come out as polygons.
     left, top = (int(np.floor(value - radius)) for value in centre)
     side = np.arange(int(2 * radius) + 4)
@@ -56,14 +90,44 @@ def disc(image: ImageArray, centre: FloatArray, radius: float, colour: Colour) -
 
 
 def arc_points(radius: float, start_rad: float, sweep_rad: float) -> FloatArray:
-    """Points (N, 2) of an arc around (0, 0), from x towards y (clockwise as seen), fine enough to look round."""
+    """Points (N, 2) of an arc around (0, 0), from x towards y (clockwise as seen), fine enough to look round.
+
+    Parameters
+    ----------
+    radius : float
+        Radius, px.
+    start_rad : float
+        Direction of the first point, rad.
+    sweep_rad : float
+        Angle from the first to the last point, rad.
+
+    Returns
+    -------
+    ndarray of float
+        (N, 2) px.
+    """
     count = max(3, int(abs(sweep_rad) * (8 + radius) / 3))
     turn = start_rad + np.linspace(0.0, sweep_rad, count)
     return radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
 
 
 def arrow_points(start: FloatArray, end: FloatArray, width: float) -> tuple[FloatArray, FloatArray]:
-    """Shaft (2, 2) and head (3, 2) of an arrow whose head ends exactly at `end`."""
+    """Shaft (2, 2) and head (3, 2) of an arrow whose head ends exactly at `end`.
+
+    Parameters
+    ----------
+    start, end : ndarray of float
+        (2,) px.
+    width : float
+        Width of the shaft, px.
+
+    Returns
+    -------
+    shaft : ndarray of float
+        (2, 2) px, both ends of the shaft.
+    head : ndarray of float
+        (3, 2) px, corners of the head.
+    """
     length = float(np.linalg.norm(end - start))
     along = (end - start) / max(length, 1e-9)
     across = np.array([-along[1], along[0]])
@@ -76,7 +140,21 @@ def arrow_points(start: FloatArray, end: FloatArray, width: float) -> tuple[Floa
 def shade(
     image: ImageArray, alpha: ImageArray, colour: Colour, left: int, top: int, strength: float = 1.0
 ) -> None:
-    """Blend a colour in by an alpha mask uint8 (h, w) put at (left, top); what falls outside is cut off."""
+    """Blend a colour in by an alpha mask uint8 (h, w) put at (left, top); what falls outside is cut off.
+
+    Parameters
+    ----------
+    image : ndarray of uint8
+        RGB uint8 (H, W, 3), drawn on in place.
+    alpha : ndarray of uint8
+        (h, w) opacity, 0 to 255.
+    colour : Colour
+        RGB, or one level for a mask.
+    left, top : int
+        Position of the mask in the image, px.
+    strength : float, optional
+        Factor on the opacity.
+    """
     height, width = image.shape[:2]
     x0, y0 = max(left, 0), max(top, 0)
     x1, y1 = min(left + alpha.shape[1], width), min(top + alpha.shape[0], height)
@@ -90,7 +168,21 @@ def shade(
 def sector(
     image: ImageArray, centre: FloatArray, points: FloatArray, colour: Colour, strength: float
 ) -> None:
-    """A translucent sector between a centre and the points (N, 2) of an arc."""
+    """A translucent sector between a centre and the points (N, 2) of an arc.
+
+    Parameters
+    ----------
+    image : ndarray of uint8
+        RGB uint8 (H, W, 3), drawn on in place.
+    centre : ndarray of float
+        (2,) px.
+    points : ndarray of float
+        (N, 2) px, of an arc.
+    colour : Colour
+        RGB, or one level for a mask.
+    strength : float
+        Opacity, 0 to 1.
+    """
     outline = np.vstack([centre, points])
     left, top = np.floor(outline.min(axis=0)).astype(int) - 1
     right, bottom = np.ceil(outline.max(axis=0)).astype(int) + 2
@@ -117,12 +209,29 @@ def text(
 
     Parameters
     ----------
+    image : ndarray of uint8
+        RGB uint8 (H, W, 3), drawn on in place.
+    string : str
+        The text.
     at : tuple of (float, float)
         Position of the anchor, px.
     size : int
         Font size, px.
+    colour : Colour, optional
+        RGB, or one level for a mask.
     anchor : tuple of (float, float), optional
         Which point of the text lies at `at`: (0, 0) left top, (0.5, 0.5) centre, (1, 1) right bottom.
+    bold : bool, optional
+        Whether the letters are bold.
+    halo : bool, optional
+        Whether a dark halo is drawn.
+
+    Returns
+    -------
+    width : int
+        Width of the text, px.
+    height : int
+        Height of the text, px.
     """
     fill, edge = _letters(string, size, bold)
     height, width = fill.shape
@@ -134,7 +243,24 @@ def text(
 
 
 def text_size(string: str, size: int, *, bold: bool = False) -> tuple[int, int]:
-    """(width, height) in px of what `text` would write."""
+    """(width, height) in px of what `text` would write.
+
+    Parameters
+    ----------
+    string : str
+        The text.
+    size : int
+        Font size, px.
+    bold : bool, optional
+        Whether the letters are bold.
+
+    Returns
+    -------
+    width : int
+        Width of the text, px.
+    height : int
+        Height of the text, px.
+    """
     height, width = _letters(string, size, bold)[0].shape
     return width, height
 

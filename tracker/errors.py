@@ -56,5 +56,16 @@ class BendtrackWarning(UserWarning):
 
 
 def reason(error: Exception) -> str:
-    """Short reason of an operating-system or library error, to be quoted in brackets in a message."""
+    """Short reason of an operating-system or library error, to be quoted in brackets in a message.
+
+    Parameters
+    ----------
+    error : Exception
+        The error that was caught.
+
+    Returns
+    -------
+    str
+        A few words.
+    """
     return getattr(error, "strerror", None) or str(error) or type(error).__name__

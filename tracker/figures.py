@@ -39,6 +39,13 @@ def write_angle_figure(table: AngleTable, out_path: str | Path) -> None:
 
     Where the angle is unknown the curve has a gap and the row's mark stands on the time axis.
 
+    Parameters
+    ----------
+    table : AngleTable
+        The table to draw.
+    out_path : str or Path
+        The PNG to write or replace.
+
     Raises
     ------
     ResultsError

@@ -23,7 +23,15 @@ JUMP_FRAMES, JUMP_SD = 2, 3.0
 
 
 class AngleRows(NamedTuple):
-    """What an angle table says of T frames: (T,) degrees, degrees, values of `types.Flag`."""
+    """What an angle table says of T frames: (T,) degrees, degrees, values of `types.Flag`.
+
+    Attributes
+    ----------
+    angle_deg, angle_sd_deg : ndarray of float
+        (T,) degrees, NaN where unknown.
+    flag : NDArray[np.str_]
+        (T,) values of `types.Flag`.
+    """
 
     angle_deg: FloatArray
     angle_sd_deg: FloatArray
@@ -32,6 +40,13 @@ class AngleRows(NamedTuple):
 
 def check_points(keypoints: Sequence[str], definition: AngleDefinition) -> None:
     """See that a detector finds the points of an angle.
+
+    Parameters
+    ----------
+    keypoints : sequence of str
+        Names of the keypoints that the detector finds.
+    definition : AngleDefinition
+        Which angle, of which points.
 
     Raises
     ------
@@ -69,12 +84,17 @@ def measure(
     size_wh : tuple of (int, int)
         Width and height of the frames, px.
     decoded, damaged : ndarray of bool
-        (T,) as `types.Flag` means them.
+        (T,) whether a frame was decoded, and whether only from a damaged one (see `types.Flag`).
     min_likelihood : float, optional
         A row with a keypoint of the angle below this is flagged `low_likelihood`.
     check_jumps : bool, optional
         Whether the temporal-consistency check runs: a row whose angle differs from those of the frames around it
         is flagged `jump`.
+
+    Returns
+    -------
+    AngleRows
+        Angle, standard deviation and flag of each frame.
     """
     angle_deg, angle_sd_deg, coincident = bending_angle(found.xy, keypoints, definition, found.covariance)
     chain = [keypoints.index(point) for point in definition.points]
@@ -96,7 +116,7 @@ def measure(
 
 
 def _jumped(angle_deg: FloatArray, sd_deg: FloatArray) -> np.ndarray:
-    """Rows (T,) that their neighbours in time contradict; a motion, however fast, is not one."""
+    """Rows (T,) that differ from their neighbours in time; a continuous motion, however fast, is no jump."""
     around = np.pad(angle_deg, JUMP_FRAMES, constant_values=np.nan)
     windows = np.lib.stride_tricks.sliding_window_view(around, 2 * JUMP_FRAMES + 1)
     known = ~np.isnan(angle_deg)

@@ -49,6 +49,17 @@ def write_overlay(
 
     Frames keep their times. A frame that cannot be decoded shows the one before it, darkened.
 
+    Parameters
+    ----------
+    video : str or Path
+        The video file.
+    table : AngleTable
+        The angle table of that video.
+    out_path : str or Path
+        The mp4 to write or replace.
+    progress : callable or None, optional
+        Called after each frame with the number of frames done and the number in all.
+
     Raises
     ------
     VideoError
@@ -89,6 +100,11 @@ class Overlay:
         Rows to draw; its `definition` must be known.
     size_wh : tuple of (int, int)
         Width and height of the frames, px.
+
+    Raises
+    ------
+    ResultsError
+        The table does not say which angle it holds.
     """
 
     def __init__(self, table: AngleTable, size_wh: tuple[int, int]) -> None:
@@ -119,6 +135,13 @@ class Overlay:
         ----------
         image : ndarray of uint8 or None
             RGB uint8 (H, W, 3), not changed; None for a frame that could not be decoded.
+        index : int
+            Index of the frame, and of its row in the table.
+
+        Returns
+        -------
+        ndarray of uint8
+            A new image (H, W, 3) with everything drawn on it.
         """
         if image is None:
             canvas = (0.35 * self._last).astype(np.uint8)

@@ -87,6 +87,11 @@ class Project:
         scorer : str or None, optional
             Who labels; None takes the default of `ProjectSettings`.
 
+        Returns
+        -------
+        Project
+            The new project, opened.
+
         Raises
         ------
         ProjectError
@@ -113,6 +118,16 @@ class Project:
     @classmethod
     def open(cls, root: str | Path) -> Project:
         """Open a project by its folder.
+
+        Parameters
+        ----------
+        root : str or Path
+            The project's folder.
+
+        Returns
+        -------
+        Project
+            The project.
 
         Raises
         ------
@@ -158,6 +173,11 @@ class Project:
             (N, K, 2) px of the labelled frames, used only where the project's sign is "auto";
             None then leaves the sign +1, clockwise on the screen.
 
+        Returns
+        -------
+        AngleDefinition
+            Which angle, of which keypoints, with which sign.
+
         Raises
         ------
         AngleError
@@ -171,13 +191,31 @@ class Project:
         return self.settings.angle_definition(sign=sign_from_labels(labelled_xy, self.keypoints, definition))
 
     def actuator_of(self, video: str) -> str:
-        """Actuator that a video (its stem) shows."""
+        """Actuator that a video (its stem) shows.
+
+        Parameters
+        ----------
+        video : str
+            Stem of the video.
+
+        Returns
+        -------
+        str
+            Name of the actuator.
+        """
         return self.settings.actuator_of(video)
 
     def assign_actuator(self, actuator: str, videos: Sequence[str]) -> None:
         """List videos (stems or file names) under an actuator in bendtrack.toml, keeping the file's comments.
 
         A video listed under another actuator moves. The file is replaced only when the outcome is valid.
+
+        Parameters
+        ----------
+        actuator : str
+            Name of the actuator; it is added where it is new.
+        videos : sequence of str
+            Stems or file names.
 
         Raises
         ------

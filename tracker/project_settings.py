@@ -51,7 +51,25 @@ class AngleSettings(Section):
 
 
 class TrainingSettings(Section):
-    """Overrides of the training defaults, which are in `bendtrack.models`."""
+    """Overrides of the training defaults, which are in `bendtrack.models`.
+
+    Attributes
+    ----------
+    backbone : {'resnet18', 'resnet34', 'resnet50'} or None
+        Network that features are taken from.
+    init : str or None
+        Starting weights.
+    max_minutes : float or None
+        Time limit of a training, minutes.
+    seed : int or None
+        Seed of the random numbers.
+    steps : int or None
+        Number of optimisation steps.
+    batch_frames : int or None
+        Frames per step.
+    held_out : float or None
+        Fraction of the labelled frames that is kept for evaluation.
+    """
 
     backbone: Literal["resnet18", "resnet34", "resnet50"] | None = None
     init: str | None = None
@@ -63,7 +81,13 @@ class TrainingSettings(Section):
 
 
 class TrackingSettings(Section):
-    """Overrides of the tracking defaults, which are in `tracking.py`."""
+    """Overrides of the tracking defaults, which are in `tracking.py`.
+
+    Attributes
+    ----------
+    min_likelihood : float or None
+        A row with a keypoint of the angle below this is flagged `low_likelihood`.
+    """
 
     min_likelihood: float | None = Field(default=None, ge=0, le=1)
 
@@ -145,12 +169,34 @@ class ProjectSettings(Section):
         return self
 
     def angle_definition(self, sign: int) -> AngleDefinition:
-        """The definition with its points filled in, and the given sign."""
+        """The definition with its points filled in, and the given sign.
+
+        Parameters
+        ----------
+        sign : int
+            +1 or -1.
+
+        Returns
+        -------
+        AngleDefinition
+            Which angle, of which keypoints, with which sign.
+        """
         points = self.angle.points or default_points(self.angle.definition, self.keypoints)
         return AngleDefinition(self.angle.definition, points, sign)
 
     def actuator_of(self, video: str) -> str:
-        """Actuator that a video (its stem) shows."""
+        """Actuator that a video (its stem) shows.
+
+        Parameters
+        ----------
+        video : str
+            Stem of the video.
+
+        Returns
+        -------
+        str
+            Name of the actuator.
+        """
         for actuator, videos in self.actuators.items():
             if video in map(listed_stem, videos):
                 return actuator
@@ -161,6 +207,16 @@ def listed_stem(video: str) -> str:
     """Stem of a video as listed under `actuators`: a stem, a file name, or a path of either system.
 
     A dot within a stem does not begin a suffix.
+
+    Parameters
+    ----------
+    video : str
+        An entry of the list.
+
+    Returns
+    -------
+    str
+        The stem.
 
     Examples
     --------
@@ -173,6 +229,18 @@ def listed_stem(video: str) -> str:
 
 def parse_settings(raw: dict[str, Any], where: str) -> ProjectSettings:
     """Validate the parsed TOML; `where` (the file's name) opens the message.
+
+    Parameters
+    ----------
+    raw : dict of str to Any
+        The parsed TOML.
+    where : str
+        Name of the file.
+
+    Returns
+    -------
+    ProjectSettings
+        The validated settings.
 
     Raises
     ------

@@ -119,6 +119,15 @@ def write_results(table: AngleTable, out_dir: str | Path, stem: str) -> tuple[Pa
     matches them, or `bookkeeping.is_up_to_date` returns False. The HDF5 comes first: it records whose results
     these are.
 
+    Parameters
+    ----------
+    table : AngleTable
+        The table to write.
+    out_dir : str or Path
+        Folder, made with its parents.
+    stem : str
+        Name of the files, without suffix.
+
     Returns
     -------
     csv_path, h5_path, json_path : Path
@@ -156,6 +165,16 @@ def read_results(path: str | Path) -> AngleTable:
     A CSV holds no covariances: they are NaN. Definition and provenance come from the JSON next to it
     where its hash of the CSV matches, else they are None and empty.
 
+    Parameters
+    ----------
+    path : str or Path
+        The .h5, .csv or .json of a table.
+
+    Returns
+    -------
+    AngleTable
+        The table.
+
     Raises
     ------
     ResultsError
@@ -180,6 +199,16 @@ def read_results(path: str | Path) -> AngleTable:
 def read_record(path: Path) -> dict[str, Any]:
     """The JSON record of a table, unchanged.
 
+    Parameters
+    ----------
+    path : Path
+        The .json of a table.
+
+    Returns
+    -------
+    dict of str to Any
+        Contents of the file.
+
     Raises
     ------
     ResultsError
@@ -195,7 +224,18 @@ def read_record(path: Path) -> dict[str, Any]:
 
 
 def json_ready(value: Any) -> Any:
-    """Plain JSON values: tuples as lists, numpy scalars as numbers, NaN and infinities as null."""
+    """Plain JSON values: tuples as lists, numpy scalars as numbers, NaN and infinities as null.
+
+    Parameters
+    ----------
+    value : Any
+        Nested mappings, sequences, arrays, numbers, strings and paths.
+
+    Returns
+    -------
+    Any
+        Nested dicts and lists of JSON values.
+    """
     if isinstance(value, Mapping):
         return {str(key): json_ready(item) for key, item in value.items()}
     if isinstance(value, list | tuple | np.ndarray):

@@ -28,12 +28,24 @@ class Section(BaseModel):
 def toml_text(path: Path, error: type[BendtrackError]) -> str:
     """Text of a TOML file that is known to parse. Windows editors may have put a byte order mark in front.
 
+    Parameters
+    ----------
+    path : Path
+        The file.
+    error : type[BendtrackError]
+        Class of the error to raise.
+
+    Returns
+    -------
+    str
+        The text, with Unix newlines.
+
     Raises
     ------
     error
         Not UTF-8, or not TOML (with the line).
     OSError
-        As it came.
+        The file cannot be read.
     """
     try:
         text = path.read_bytes().decode("utf-8-sig").replace("\r\n", "\n")
@@ -46,7 +58,20 @@ def toml_text(path: Path, error: type[BendtrackError]) -> str:
 
 
 def validation_message(error: ValidationError, model: type[BaseModel]) -> str:
-    """The first mistake in a file of this model (key, what was expected, what was found), and the number of others."""
+    """The first mistake in a file of this model (key, what was expected, what was found), and the number of others.
+
+    Parameters
+    ----------
+    error : ValidationError
+        What pydantic raised.
+    model : type[BaseModel]
+        The model that the file was validated against.
+
+    Returns
+    -------
+    str
+        One line.
+    """
     # A key that is not known first: it may be what another, missing, was meant to be.
     mistakes = sorted(error.errors(), key=lambda mistake: mistake["type"] != "extra_forbidden")
     more = f" (and {len(mistakes) - 1} more)" if len(mistakes) > 1 else ""

@@ -169,7 +169,22 @@ def track(
 def tracking_settings(
     definition: AngleDefinition, min_likelihood: float = MIN_LIKELIHOOD, check_jumps: bool = False
 ) -> dict[str, Any]:
-    """Settings that determine a table, apart from video and detector; recorded, and compared by `is_up_to_date`."""
+    """Settings that determine a table, apart from video and detector; recorded, and compared by `is_up_to_date`.
+
+    Parameters
+    ----------
+    definition : AngleDefinition
+        Which angle, of which keypoints.
+    min_likelihood : float, optional
+        Threshold of the flag `low_likelihood`.
+    check_jumps : bool, optional
+        Whether the temporal-consistency check runs.
+
+    Returns
+    -------
+    dict of str to Any
+        JSON-ready settings; the check is recorded under the key `steady`, and only where it runs.
+    """
     asked = {"angle": asdict(definition), "min_likelihood": min_likelihood}
     settings: dict[str, Any] = json_ready(asked | ({"steady": True} if check_jumps else {}))
     return settings

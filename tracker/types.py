@@ -99,7 +99,18 @@ class Detector(Protocol):
         """JSON-ready settings and hashes: two detectors with equal provenance give equal detections."""
 
     def detect(self, frames: Frames) -> Detections:
-        """Find the keypoints in frames. There may be fewer than `batch_size`."""
+        """Find the keypoints in frames. There may be fewer than `batch_size`.
+
+        Parameters
+        ----------
+        frames : Frames
+            N frames, N <= `batch_size`.
+
+        Returns
+        -------
+        Detections
+            Keypoints of the N frames.
+        """
 
 
 @runtime_checkable
@@ -111,10 +122,29 @@ class VideoDetector(Detector, Protocol):
         """Number of chunks of a video that can be processed in parallel."""
 
     def chunk_frames(self, size_wh: tuple[int, int], frames: int | None) -> int:
-        """Frames in a chunk, for a video of `frames` frames (None: unknown) of size `size_wh` px."""
+        """Frames in a chunk, for a video of `frames` frames (None: unknown) of size `size_wh` px.
+
+        Parameters
+        ----------
+        size_wh : tuple of (int, int)
+            Width and height of the frames, px.
+        frames : int or None
+            Number of frames in the video, None where unknown.
+
+        Returns
+        -------
+        int
+            Number of frames in a chunk.
+        """
 
     def follow(self) -> Detector:
-        """A new detector for consecutive frames, which may use its detections in the frames before."""
+        """A new detector for consecutive frames, which may use its detections in the frames before.
+
+        Returns
+        -------
+        Detector
+            A detector that is given the chunk's frames in order.
+        """
 
 
 @runtime_checkable
@@ -122,12 +152,18 @@ class DropAwareDetector(Detector, Protocol):
     """A detector for one video that must know of dropped frames, which it is not given."""
 
     def skip_frames(self, count: int) -> None:
-        """Announce that the next `count` frames of the video were dropped."""
+        """Announce that the next `count` frames of the video were dropped.
+
+        Parameters
+        ----------
+        count : int
+            Number of frames.
+        """
 
 
 @dataclass(frozen=True)
 class LabelledFrame:
-    """One frame with the points that a person clicked on it.
+    """One frame with the keypoints that a person labelled.
 
     Attributes
     ----------

@@ -226,6 +226,18 @@ class Video:
 def read_frame(path: str | Path, index: int) -> ImageArray:
     """The frame with this index as RGB uint8 (H, W, 3), found by decoding from the start.
 
+    Parameters
+    ----------
+    path : str or Path
+        The video file.
+    index : int
+        Index of the frame, from 0; frames that could not be decoded are counted.
+
+    Returns
+    -------
+    ndarray of uint8
+        RGB (H, W, 3).
+
     Raises
     ------
     VideoError
@@ -243,6 +255,18 @@ def read_frame(path: str | Path, index: int) -> ImageArray:
 
 def spread_frames(path: str | Path, count: int) -> list[ImageArray]:
     """At most `count` frames spread over a video, RGB uint8 (H, W, 3); fewer where it has fewer that can be decoded.
+
+    Parameters
+    ----------
+    path : str or Path
+        The video file.
+    count : int
+        Largest number of frames.
+
+    Returns
+    -------
+    list of ndarray of uint8
+        RGB (H, W, 3) each, in the order of the video.
 
     Raises
     ------
@@ -265,6 +289,16 @@ def spread_frames(path: str | Path, count: int) -> list[ImageArray]:
 def video_stem(path: str | Path) -> str:
     """Name of a video without folder and suffix, by which its labels and results are named.
 
+    Parameters
+    ----------
+    path : str or Path
+        The video file.
+
+    Returns
+    -------
+    str
+        The stem.
+
     Examples
     --------
     >>> video_stem("rig/original 0.25Hz.mp4")
@@ -274,6 +308,17 @@ def video_stem(path: str | Path) -> str:
 
 
 def file_sha256(path: str | Path) -> str:
-    """SHA-256 of a file as hexadecimal digits; the file is read in blocks."""
+    """SHA-256 of a file as hexadecimal digits; the file is read in blocks.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits.
+    """
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

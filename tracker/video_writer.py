@@ -68,6 +68,20 @@ class VideoWriter:
         """Append an RGB uint8 (H, W, 3) image, shown from `time_s` on (default: at the frame rate).
 
         Times that do not increase are moved by the smallest step that mp4 can represent (1/90000 s).
+
+        Parameters
+        ----------
+        image : ndarray of uint8
+            RGB uint8 (H, W, 3) of the writer's size.
+        time_s : float or None, optional
+            Time from which the image is shown, s; None for the next time at the frame rate.
+
+        Raises
+        ------
+        ValueError
+            An image of another shape or type.
+        VideoError
+            The file cannot be written.
         """
         width, height = self._size_wh
         if image.shape != (height, width, 3) or image.dtype != np.uint8:

@@ -1,4 +1,4 @@
-"""Cameras of this machine: listing them, choosing one, and FFmpeg's options to open it."""
+"""Cameras of this machine: listing, choosing, and FFmpeg's options for opening."""
 
 from __future__ import annotations
 
@@ -25,7 +25,15 @@ _DARWIN_RATE = "30"
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera: its `address` for FFmpeg, and its `name` for users."""
+    """A camera: its `address` for FFmpeg, and its `name` for users.
+
+    Attributes
+    ----------
+    address : str
+        Address for FFmpeg.
+    name : str
+        Name for users.
+    """
 
     address: str
     name: str
@@ -51,7 +59,13 @@ class CameraMode:
 
 
 def cameras() -> list[Camera]:
-    """The cameras of this machine, in the order of their numbers."""
+    """The cameras of this machine, in the order of their numbers.
+
+    Returns
+    -------
+    list of Camera
+        The cameras; none where the system cannot list them.
+    """
     format, _ = _input()
     try:
         found = av.enumerate_input_devices(format)
@@ -67,6 +81,18 @@ def cameras() -> list[Camera]:
 
 def find_camera(wanted: str | None, among: Sequence[Camera]) -> Camera:
     """The camera with a number, device or name (or a part of its name); None takes the first.
+
+    Parameters
+    ----------
+    wanted : str or None
+        A number, device or (part of a) name; None for the first camera.
+    among : sequence of Camera
+        The cameras to choose from.
+
+    Returns
+    -------
+    Camera
+        The camera.
 
     Raises
     ------
@@ -91,7 +117,18 @@ def find_camera(wanted: str | None, among: Sequence[Camera]) -> Camera:
 
 
 def is_camera_device(path: str) -> bool:
-    """Whether a path is a device of the system, such as /dev/video0."""
+    """Whether a path is a device of the system, such as /dev/video0.
+
+    Parameters
+    ----------
+    path : str
+        A path.
+
+    Returns
+    -------
+    bool
+        Whether it is a character device.
+    """
     try:
         return stat.S_ISCHR(Path(path).stat().st_mode)
     except OSError:
@@ -99,7 +136,20 @@ def is_camera_device(path: str) -> bool:
 
 
 def opening(mode: CameraMode | None) -> tuple[str, dict[str, str]]:
-    """FFmpeg's input and options for a camera in this mode."""
+    """FFmpeg's input and options for a camera in this mode.
+
+    Parameters
+    ----------
+    mode : CameraMode or None
+        Requested mode, None for the camera's own.
+
+    Returns
+    -------
+    format : str
+        FFmpeg's input format.
+    options : dict of str to str
+        FFmpeg's options.
+    """
     format, format_option = _input()
     options = {"framerate": _DARWIN_RATE} if format == "avfoundation" else {}
     if mode is not None:

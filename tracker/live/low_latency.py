@@ -26,7 +26,15 @@ _JOIN_S = 1.0  # a capture thread that hangs is abandoned after this time
 
 @dataclass(frozen=True)
 class Arrival:
-    """A frame, and when it was captured: seconds of `time.perf_counter`, like all times in this file."""
+    """A frame, and when it was captured: seconds of `time.perf_counter`, like all times in this file.
+
+    Attributes
+    ----------
+    frame : Frame
+        The frame.
+    at_s : float
+        Time of capture, seconds of `time.perf_counter`.
+    """
 
     frame: Frame
     at_s: float
@@ -55,10 +63,24 @@ class LiveSource(Protocol):
     silence_s: float | None
 
     @property
-    def warnings(self) -> list[str]: ...
+    def warnings(self) -> list[str]:
+        """Notes for the user, a line each; complete once the source has ended."""
 
     def arrivals(self, begin: threading.Event, stop: threading.Event) -> Iterator[Arrival]:
-        """Frames as they arrive, from when `begin` is set until `stop` is set; the first of them is frame 0."""
+        """Frames as they arrive, from when `begin` is set until `stop` is set; the first of them is frame 0.
+
+        Parameters
+        ----------
+        begin : threading.Event
+            Set when frames are wanted; frames before are discarded.
+        stop : threading.Event
+            Set when no more frames are wanted.
+
+        Returns
+        -------
+        iterator of Arrival
+            The frames; ends with the source.
+        """
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,20 @@ HEADER = ",".join(COLUMNS)
 
 
 def line_of(value: LiveValue, format: str) -> str:
-    """A value as a row of CSV or as a JSON object, without the newline. NaN is empty or null."""
+    """A value as a row of CSV or as a JSON object, without the newline. NaN is empty or null.
+
+    Parameters
+    ----------
+    value : LiveValue
+        The value.
+    format : str
+        "csv" or "jsonl".
+
+    Returns
+    -------
+    str
+        One line, with the columns of `COLUMNS`.
+    """
     cells: dict[str, Any] = {name: getattr(value, _ATTRIBUTES.get(name, name)) for name in COLUMNS}
     for name, decimals in _DECIMALS.items():
         # "+ 0.0": no "-0.000"
@@ -70,6 +83,11 @@ class UdpTarget:
 
     def send(self, text: str) -> None:
         """Send one datagram; UDP does not report whether anything receives it.
+
+        Parameters
+        ----------
+        text : str
+            Contents of the datagram.
 
         Raises
         ------

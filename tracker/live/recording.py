@@ -33,7 +33,13 @@ class Recording:
         self._flag: list[Flag] = []
 
     def add(self, value: LiveValue) -> None:
-        """Keep a value, and the times of the frames dropped before it."""
+        """Keep a value, and the times of the frames dropped before that value.
+
+        Parameters
+        ----------
+        value : LiveValue
+            The next value of the source.
+        """
         k = len(self._keypoints)
         for time_s in value.dropped_s:
             self._numbers.extend([time_s, *[np.nan] * (2 + 7 * k)])
@@ -56,8 +62,17 @@ class Recording:
         ----------
         source : str
             Name of the camera, file or stream.
+        detector_provenance : mapping of str to Any
+            `Detector.provenance` of the detector.
         settings : mapping of str to Any
-            As `tracking.tracking_settings` gives them.
+            Settings from `tracking.tracking_settings`.
+        warnings : sequence of str, optional
+            Notes for the user, a line each.
+
+        Returns
+        -------
+        AngleTable
+            One row for every frame of the source.
         """
         t, k = len(self._flag), len(self._keypoints)
         rows = np.array(self._numbers).reshape(t, 3 + 7 * k)

@@ -41,6 +41,11 @@ def open_source(wanted: str | None, mode: CameraMode | None = None) -> LiveSourc
     mode : CameraMode or None, optional
         Requested mode of a camera; not allowed for files and URLs.
 
+    Returns
+    -------
+    LiveSource
+        The opened source.
+
     Raises
     ------
     VideoError
@@ -68,6 +73,11 @@ def _camera(wanted: str | None) -> Camera:
 class PlayedFile:
     """A video file played in real time: each frame is delivered at its presentation time.
 
+    Parameters
+    ----------
+    path : Path
+        The video file.
+
     Raises
     ------
     VideoError
@@ -88,13 +98,41 @@ class PlayedFile:
         return self._video.warnings
 
     def arrivals(self, begin: threading.Event, stop: threading.Event) -> Iterator[Arrival]:
-        """Frames in real time (see `LiveSource`)."""
+        """Frames in real time (see `LiveSource`).
+
+        Parameters
+        ----------
+        begin, stop : threading.Event
+            As in `LiveSource.arrivals`.
+
+        Returns
+        -------
+        iterator of Arrival
+            The frames.
+        """
         begin.wait()
         yield from _in_real_time(self._video, stop)
 
 
 class Stream:
-    """A camera or a URL, opened and running."""
+    """A camera or a URL, opened and running.
+
+    Parameters
+    ----------
+    address : str
+        What FFmpeg opens: a URL, or the address of a camera.
+    name : str
+        Name for messages.
+    format : str or None
+        FFmpeg's input format of a camera, None for a URL.
+    options : mapping of str to str
+        FFmpeg's options.
+
+    Raises
+    ------
+    VideoError
+        It cannot be opened, or holds no video.
+    """
 
     def __init__(self, address: str, name: str, format: str | None, options: Mapping[str, str]) -> None:
         self.name = name
@@ -133,6 +171,16 @@ class Stream:
     def from_url(cls, url: str) -> Stream:
         """A stream or a recording on the network.
 
+        Parameters
+        ----------
+        url : str
+            URL with one of the supported protocols.
+
+        Returns
+        -------
+        Stream
+            The opened stream.
+
         Raises
         ------
         VideoError
@@ -153,6 +201,18 @@ class Stream:
     def from_camera(cls, camera: Camera, mode: CameraMode | None = None) -> Stream:
         """A camera, in its own mode or in the one asked for.
 
+        Parameters
+        ----------
+        camera : Camera
+            The camera.
+        mode : CameraMode or None, optional
+            Requested mode, None for the camera's own.
+
+        Returns
+        -------
+        Stream
+            The opened camera.
+
         Raises
         ------
         VideoError
@@ -162,7 +222,18 @@ class Stream:
         return cls(camera.address, f"camera {camera.name}", format, options | _NO_PROBE_BUFFER)
 
     def arrivals(self, begin: threading.Event, stop: threading.Event) -> Iterator[Arrival]:
-        """Frames as they arrive; a recording that a server sends faster is paced to real time (see `LiveSource`)."""
+        """Frames as they arrive; a recording that a server sends faster is paced to real time (see `LiveSource`).
+
+        Parameters
+        ----------
+        begin, stop : threading.Event
+            As in `LiveSource.arrivals`.
+
+        Returns
+        -------
+        iterator of Arrival
+            The frames.
+        """
         with self._container:
             if self._needs_pacing:
                 begin.wait()

@@ -109,6 +109,11 @@ def analyse_study(
     angles_deg : sequence of float or None, optional
         Angles at which hysteresis ratios are compared; None for the multiples of 5 degrees that both designs reach.
 
+    Returns
+    -------
+    StudyResults
+        All tables of the study.
+
     Raises
     ------
     BendtrackError

@@ -51,6 +51,18 @@ def read_angles(path: str | Path, keep_flagged: Sequence[str] = ()) -> Angles:
     A plain CSV may also have angle_sd_deg and flag; its fields are separated by commas, or by semicolons with decimal
     commas. Flagged rows become gaps, except for the flags in `keep_flagged`.
 
+    Parameters
+    ----------
+    path : str or Path
+        The angle table.
+    keep_flagged : sequence of str, optional
+        Flags of rows whose angle is used.
+
+    Returns
+    -------
+    Angles
+        The angles, with gaps as NaN.
+
     Raises
     ------
     ResultsError
@@ -90,6 +102,18 @@ def find_table(results: Path, video: Path) -> Path:
     """The angle table of a video in a folder of results, or in a project's.
 
     Where several videos of that name were tracked, the video's SHA-256 decides.
+
+    Parameters
+    ----------
+    results : Path
+        Folder of results, or of a project.
+    video : Path
+        The video file, which need not exist.
+
+    Returns
+    -------
+    Path
+        Path of the table.
 
     Raises
     ------

@@ -73,6 +73,11 @@ def turning_angle(
         The pressure's turns of this kind (peaks or troughs).
     bounds_s : ndarray of float
         (C, 2) s, begin and end of the frames that belong to each turn.
+
+    Returns
+    -------
+    TurningAngle
+        The angles, NaN where they cannot be estimated.
     """
     known = np.isfinite(angle_deg) & np.isfinite(pressure_kpa) & np.isfinite(rate_kpa_s)
     frames = (time_s[known], angle_deg[known], pressure_kpa[known], rate_kpa_s[known])
@@ -100,7 +105,18 @@ def turning_angle(
 
 
 def frame_noise_deg(angle_deg: FloatArray) -> float:
-    """Noise (sd) of one frame's angle, from its distance to the line through the neighbouring frames, deg."""
+    """Noise (sd) of one frame's angle, from its distance to the line through the neighbouring frames, deg.
+
+    Parameters
+    ----------
+    angle_deg : ndarray of float
+        (T,) degrees, without NaN.
+
+    Returns
+    -------
+    float
+        Standard deviation, degrees; NaN with fewer than three frames.
+    """
     if angle_deg.size < 3:
         return float("nan")
     return 1.4826 * float(np.median(np.abs(np.diff(angle_deg, n=2)))) / 6**0.5

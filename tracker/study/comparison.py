@@ -20,7 +20,21 @@ _ANGLE_STEP_DEG = 5.0
 
 @dataclass(frozen=True)
 class TrialPoint:
-    """Values of a dynamic trial that enter the comparison."""
+    """Values of a dynamic trial that enter the comparison.
+
+    Attributes
+    ----------
+    trial, design : str
+        Names of the trial and of its design.
+    frequency_hz : float
+        Frequency of the wave, Hz.
+    pressure_pp_kpa : float
+        Nominal peak-to-peak pressure, kPa.
+    dynamic_response_deg : Estimate
+        Largest bending angle, degrees.
+    hysteresis_ratio : Estimate
+        The paper's ratio, 0 to 1.
+    """
 
     trial: str
     design: str
@@ -32,7 +46,19 @@ class TrialPoint:
 
 @dataclass(frozen=True)
 class Condition:
-    """A condition of comparison: the wave's frequency, and either a pressure or an angle (the other is NaN)."""
+    """A condition of comparison: the wave's frequency, and either a pressure or an angle (the other is NaN).
+
+    Attributes
+    ----------
+    metric : str
+        "dynamic_response_deg" or "hysteresis_ratio".
+    frequency_hz : float
+        Frequency of the wave, Hz.
+    pressure_pp_kpa : float
+        Peak-to-peak pressure, kPa; NaN for a condition at one angle.
+    angle_deg : float
+        Largest angle, degrees; NaN for a condition at one pressure.
+    """
 
     metric: str
     frequency_hz: float
@@ -41,6 +67,7 @@ class Condition:
 
     @property
     def higher_is_better(self) -> bool:
+        """Whether a larger value is the better one (dynamic response) or a smaller one (hysteresis ratio)."""
         return self.metric == "dynamic_response_deg"
 
 
@@ -50,6 +77,19 @@ class Improvement:
 
     `improvement` is (new - original) / original for the dynamic response and (original - new) / original for the
     hysteresis ratio: above 0 is better.
+
+    Attributes
+    ----------
+    condition : Condition
+        The condition.
+    design, baseline : str
+        Names of the two designs.
+    design_value, baseline_value : Estimate
+        Values of the two designs under the condition.
+    improvement : Estimate
+        Fraction of the baseline's value.
+    refused : str
+        Reason why there is no improvement, else empty.
     """
 
     condition: Condition
@@ -63,7 +103,21 @@ class Improvement:
 
 @dataclass(frozen=True)
 class Difference:
-    """Design a minus design b under one condition. `p_holm` is adjusted over all pairs under the condition."""
+    """Design a minus design b under one condition. `p_holm` is adjusted over all pairs under the condition.
+
+    Attributes
+    ----------
+    condition : Condition
+        The condition.
+    design_a, design_b : str
+        Names of the two designs.
+    difference : Estimate
+        Value of a minus value of b.
+    p_value : float
+        Two-sided p-value of the difference.
+    p_holm : float
+        The same after Holm's correction.
+    """
 
     condition: Condition
     design_a: str
@@ -78,6 +132,19 @@ class Rank:
     """A design's rank under one condition, 1 the best. `apart_from_next`: it differs from the next.
 
     None for the last, and where the uncertainty is not known.
+
+    Attributes
+    ----------
+    condition : Condition
+        The condition.
+    rank : int
+        From 1, the best.
+    design : str
+        Name of the design.
+    value : Estimate
+        Its value under the condition.
+    apart_from_next : bool or None
+        Whether the difference to the next design is significant.
     """
 
     condition: Condition
@@ -92,6 +159,13 @@ def ratio_at_angle(points: Sequence[TrialPoint], angle_deg: float) -> tuple[Esti
 
     Piecewise linear in the largest angle (the study's constant-angle comparison), with the uncertainty of the
     ratios and angles of the two trials between which it is interpolated.
+
+    Parameters
+    ----------
+    points : sequence of TrialPoint
+        Trials of one design at one frequency.
+    angle_deg : float
+        Largest angle, degrees.
 
     Returns
     -------
@@ -131,6 +205,20 @@ def improvements(
 
     `angles_deg` None: at the multiples of 5 degrees that both reach. A comparison that cannot be made is listed
     with its reason.
+
+    Parameters
+    ----------
+    points : sequence of TrialPoint
+        All dynamic trials.
+    baseline : str
+        Name of the baseline design.
+    angles_deg : sequence of float or None, optional
+        Angles at which ratios are compared, degrees.
+
+    Returns
+    -------
+    list of Improvement
+        One entry per design and condition.
     """
     found: list[Improvement] = []
     for frequency, here in _by_frequency(points):
@@ -155,6 +243,18 @@ def conditions(points: Sequence[TrialPoint], angles_deg: Sequence[float] | None 
     """Conditions of the ranking and the pairwise comparison: every pressure, and angles at every frequency.
 
     `angles_deg` None: the multiple of 5 degrees that most designs reach, the largest if there are several.
+
+    Parameters
+    ----------
+    points : sequence of TrialPoint
+        All dynamic trials.
+    angles_deg : sequence of float or None, optional
+        Angles at which ratios are compared, degrees.
+
+    Returns
+    -------
+    list of Condition
+        The conditions, by frequency.
     """
     found: list[Condition] = []
     for frequency, here in _by_frequency(points):
@@ -165,7 +265,22 @@ def conditions(points: Sequence[TrialPoint], angles_deg: Sequence[float] | None 
 
 
 def value_under(points: Sequence[TrialPoint], condition: Condition) -> tuple[Estimate, str]:
-    """One design's value under a condition, or the reason why there is none; repeated trials are averaged."""
+    """One design's value under a condition, or the reason why there is none; repeated trials are averaged.
+
+    Parameters
+    ----------
+    points : sequence of TrialPoint
+        Trials of one design.
+    condition : Condition
+        The condition.
+
+    Returns
+    -------
+    value : Estimate
+        NaN where there is none.
+    refused : str
+        The reason for it, else empty.
+    """
     here = [point for point in points if point.frequency_hz == condition.frequency_hz]
     if condition.metric == "hysteresis_ratio":
         return ratio_at_angle(here, condition.angle_deg)
@@ -181,7 +296,20 @@ def value_under(points: Sequence[TrialPoint], condition: Condition) -> tuple[Est
 
 
 def differences(points: Sequence[TrialPoint], condition: Condition) -> list[Difference]:
-    """Every pair of designs that both have a value under the condition; Holm's correction over these pairs."""
+    """Every pair of designs that both have a value under the condition; Holm's correction over these pairs.
+
+    Parameters
+    ----------
+    points : sequence of TrialPoint
+        All dynamic trials.
+    condition : Condition
+        The condition.
+
+    Returns
+    -------
+    list of Difference
+        One entry per pair.
+    """
     values = _values(points, condition)
     pairs = list(combinations(values, 2))
     found = [combined(values[a].value - values[b].value, [(1, values[a]), (1, values[b])]) for a, b in pairs]
@@ -193,7 +321,22 @@ def differences(points: Sequence[TrialPoint], condition: Condition) -> list[Diff
 
 
 def ranking(points: Sequence[TrialPoint], condition: Condition, confidence: float) -> list[Rank]:
-    """Designs from best to worst; neighbours differ significantly where their Holm-adjusted p-value is small."""
+    """Designs from best to worst; neighbours differ significantly where their Holm-adjusted p-value is small.
+
+    Parameters
+    ----------
+    points : sequence of TrialPoint
+        All dynamic trials.
+    condition : Condition
+        The condition.
+    confidence : float
+        Confidence level, 0 to 1; differences are tested at 1 - `confidence`.
+
+    Returns
+    -------
+    list of Rank
+        One entry per design, the best first.
+    """
     values = _values(points, condition)
     order = sorted(values, key=lambda design: values[design].value, reverse=condition.higher_is_better)
     adjusted = {frozenset((d.design_a, d.design_b)): d.p_holm for d in differences(points, condition)}

@@ -19,7 +19,19 @@ _SEGMENTS = 12
 
 @dataclass(frozen=True)
 class ControlNumbers:
-    """RMSE in kPa with its uncertainty, NRMSE (fraction of the reference's peak-to-peak), and number of readings."""
+    """RMSE in kPa with its uncertainty, NRMSE (fraction of the reference's peak-to-peak), and number of readings.
+
+    Attributes
+    ----------
+    rmse_kpa : Estimate
+        Root mean square of measured minus reference pressure, kPa.
+    nrmse : Estimate
+        `rmse_kpa` over `reference_pp_kpa`.
+    reference_pp_kpa : float
+        Peak-to-peak of the reference wave, kPa.
+    readings : int
+        Number of readings compared.
+    """
 
     rmse_kpa: Estimate
     nrmse: Estimate
@@ -32,6 +44,16 @@ def tracking_error(trial: TrialData) -> ControlNumbers | None:
 
     The sensor's noise is part of it, as in the paper. Its uncertainty comes from the mean squared errors of
     twelve equal segments of the log.
+
+    Parameters
+    ----------
+    trial : TrialData
+        The trial.
+
+    Returns
+    -------
+    ControlNumbers or None
+        The tracking error.
     """
     if trial.log_reference_kpa is None:
         return None

@@ -52,6 +52,18 @@ def csv_columns(path: Path) -> tuple[list[LogColumn], list[str]]:
     The line before the first line of numbers holds the names; where that line holds only units, the one before it.
     Without a header the columns are called "1", "2", ...
 
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    columns : list of LogColumn
+        Columns with a name or a number in them.
+    warnings : list of str
+        A line each.
+
     Raises
     ------
     PressureLogError

@@ -26,7 +26,15 @@ OTHER_COLOURS = (
 
 @dataclass(frozen=True)
 class DesignSettings:
-    """How a design is shown: its label, and its colour as "#rrggbb"."""
+    """How a design is shown: its label, and its colour as "#rrggbb".
+
+    Attributes
+    ----------
+    label : str
+        Name in figures and tables.
+    colour : str
+        Hexadecimal RGB, "#rrggbb".
+    """
 
     label: str
     colour: str
@@ -34,6 +42,16 @@ class DesignSettings:
 
 def plain_name(name: str) -> str:
     """A design's name in lower case, with every other character as a space.
+
+    Parameters
+    ----------
+    name : str
+        Name as written.
+
+    Returns
+    -------
+    str
+        Words separated by single spaces.
 
     Examples
     --------
@@ -44,12 +62,35 @@ def plain_name(name: str) -> str:
 
 
 def known_design(name: str) -> str | None:
-    """The paper's design with this name, None if there is none."""
+    """The paper's design with this name, None if there is none.
+
+    Parameters
+    ----------
+    name : str
+        Name as written.
+
+    Returns
+    -------
+    str or None
+        A key of `STUDY_COLOURS`.
+    """
     return next((known for known in STUDY_COLOURS if plain_name(known) == plain_name(name)), None)
 
 
 def design_colours(names: Iterable[str], chosen: dict[str, str]) -> dict[str, str]:
     """A colour for each design: the chosen one, the study's own, or the next of `OTHER_COLOURS` in this order.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Designs in the study's order.
+    chosen : dict of str to str
+        Colours that the user chose, by design.
+
+    Returns
+    -------
+    dict of str to str
+        Colour of each design.
 
     Examples
     --------

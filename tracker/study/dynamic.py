@@ -36,6 +36,39 @@ class CycleNumbers:
 
     `number` counts complete cycles from 1 on; `reason` says why a cycle is not used (empty where it is).
     The ratio's rectangle is the trial's (the paper's definition), the extremes' is the cycle's own.
+
+    Attributes
+    ----------
+    number : int
+        Number of the complete cycle, from 1.
+    used : bool
+        Whether the cycle enters the trial's values.
+    reason : str
+        Why it does not, else empty.
+    start_s, turn_s, end_s : float
+        Begin, largest pressure and end, s.
+    period_s : float
+        Duration, s.
+    frames : int
+        Number of frames.
+    missing_frames : int
+        Frames without an angle or a pressure.
+    longest_gap_s : float
+        Longest time without such a frame, s.
+    pressure_min_kpa, pressure_max_kpa : float
+        Pressure at the end and at the turn, kPa.
+    largest_angle_deg : float
+        Angle at the turn, degrees.
+    residual_angle_deg : float
+        Angle at the end, degrees.
+    hysteresis_deg_kpa : float
+        Area of the loop, deg kPa.
+    hysteresis_ratio : float
+        Area over the trial's rectangle to the axes.
+    hysteresis_ratio_extremes : float
+        Area over the rectangle of the cycle's own extremes.
+    mid_width_deg : float
+        Width of the loop at mid pressure, degrees.
     """
 
     number: int
@@ -76,16 +109,28 @@ class DynamicNumbers:
         Period, peak-to-peak amplitude and begin of the pressure wave.
     largest_pressure_kpa, dynamic_response_deg : Estimate
         Sides of the paper's rectangle.
+    hysteresis_deg_kpa : Estimate
+        Cumulative hysteresis: area of the loop.
+    hysteresis_ratio : Estimate
+        The paper's ratio: area over the rectangle to the axes.
+    hysteresis_ratio_extremes : Estimate
+        Area over the rectangle of the loop's own extremes.
+    mid_width_deg : Estimate
+        Width of the loop at mid pressure.
+    residual_angle_deg : Estimate
+        Angle at the end of a cycle.
+    largest_angle_drift_deg, residual_angle_drift_deg : Estimate
+        Slope over the cycles, deg per cycle.
     ratio_per_frame_shift : float
         Change of the ratio if every angle is assigned the pressure of one frame later (a delay one
         frame smaller).
     repeatability_deg : float
-        RMS over both branches of the spread (sd) between cycles of the angle at one pressure; noise
-        of a frame is part of it.
+        RMS over both branches of the spread (sd) between cycles of the angle at one pressure; the
+        noise of a frame is included.
     repeatability_hysteresis : float
         Spread (sd) of the cycles' areas over their mean.
-    largest_angle_drift_deg, residual_angle_drift_deg : Estimate
-        Slope over the cycles, deg per cycle.
+    warnings : tuple of str
+        One sentence each.
     """
 
     cycles: tuple[CycleNumbers, ...]
@@ -116,6 +161,16 @@ def measure_dynamic(trial: TrialData) -> DynamicNumbers:
     A trial's value is the mean over the cycles used, with a Student interval over them; the uncertainty of the
     clocks' shift and the angles' common uncertainty are added. The dynamic response is the mean of the cycles' largest
     angles too, unless they drift: then it is the larger end of the line through them, and a warning says so.
+
+    Parameters
+    ----------
+    trial : TrialData
+        The trial.
+
+    Returns
+    -------
+    DynamicNumbers
+        The numbers; NaN with warnings where they cannot be given.
     """
     train = find_cycles(trial.log_time_s, trial.log_pressure_kpa)
     warnings = [*train.warnings, *train.incomplete]

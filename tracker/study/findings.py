@@ -13,7 +13,20 @@ if TYPE_CHECKING:
 
 
 def main_findings(results: StudyResults, labels: Mapping[str, str]) -> list[str]:
-    """One or two sentences for each finding, the most important first; only what the data support."""
+    """One or two sentences for each finding, the most important first; only what the data support.
+
+    Parameters
+    ----------
+    results : StudyResults
+        Results of the study.
+    labels : mapping of str to str
+        Label of each design, by its name.
+
+    Returns
+    -------
+    list of str
+        Plain text, one string for each finding.
+    """
     return [
         *_ratios(results, labels),
         *_responses(results, labels),

@@ -59,10 +59,20 @@ def first_study_file(folder: str | Path) -> str:
     Angle tables, logs and videos are recognised by content and suffix, grouped by name, and listed as trials
     where there is a log with an angle table or a video. Files without a trial are listed in comments.
 
+    Parameters
+    ----------
+    folder : str or Path
+        The folder.
+
+    Returns
+    -------
+    str
+        TOML with comments.
+
     Raises
     ------
     StudyError
-        Not a folder, or no trial in it.
+        Not a folder, or a folder without a trial.
     """
     folder = Path(folder)
     if not folder.is_dir():

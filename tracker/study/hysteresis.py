@@ -19,6 +19,16 @@ def loop_area_deg_kpa(loop: FloatArray) -> float:
 
     Shoelace formula on the closed polygon. Noise of the angle that is independent from frame to frame does not
     bias it. Source: the study's section on dynamic analysis ("area within the leaf").
+
+    Parameters
+    ----------
+    loop : ndarray of float
+        (N, 2) kPa and deg, closed implicitly.
+
+    Returns
+    -------
+    float
+        Area, deg kPa.
     """
     pressure, angle = loop[:, 0], loop[:, 1]
     return float(np.sum(pressure * np.roll(angle, -1) - np.roll(pressure, -1) * angle)) / 2
@@ -28,6 +38,20 @@ def hysteresis_ratio(area_deg_kpa: float, largest_pressure_kpa: float, largest_a
     """The paper's ratio: area over the rectangle from the axes to the largest pressure and angle; 0 to 1.
 
     NaN where there is no such rectangle (a largest pressure or angle that is not above 0).
+
+    Parameters
+    ----------
+    area_deg_kpa : float
+        Area of the loop.
+    largest_pressure_kpa : float
+        The trial's largest pressure.
+    largest_angle_deg : float
+        The trial's largest angle.
+
+    Returns
+    -------
+    float
+        Fraction of the rectangle.
     """
     if not (largest_pressure_kpa > 0 and largest_angle_deg > 0):
         return float("nan")
@@ -40,6 +64,20 @@ def hysteresis_ratio_extremes(
     """Area over the rectangle between the loop's own smallest and largest pressure and angle; 0 to 1.
 
     Not the paper's ratio: the two agree only for a loop that begins at 0 kPa and 0 degrees.
+
+    Parameters
+    ----------
+    area_deg_kpa : float
+        Area of the loop.
+    pressures_kpa : tuple of (float, float)
+        Smallest and largest pressure.
+    angles_deg : tuple of (float, float)
+        Smallest and largest angle.
+
+    Returns
+    -------
+    float
+        Fraction of the rectangle; NaN for an empty rectangle.
     """
     rectangle = (pressures_kpa[1] - pressures_kpa[0]) * (angles_deg[1] - angles_deg[0])
     return area_deg_kpa / rectangle if rectangle > 0 else float("nan")

@@ -21,19 +21,48 @@ NAN = float("nan")
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value, its standard uncertainty (NaN: not known) and the degrees of freedom of that uncertainty."""
+    """A value, its standard uncertainty (NaN: not known) and the degrees of freedom of that uncertainty.
+
+    Attributes
+    ----------
+    value : float
+        The value, NaN where unknown.
+    sd : float
+        Its standard uncertainty.
+    dof : float
+        Degrees of freedom of `sd`.
+    """
 
     value: float
     sd: float = NAN
     dof: float = math.inf
 
     def interval(self, confidence: float) -> tuple[float, float]:
-        """Two-sided Student interval; NaN where the uncertainty is not known."""
+        """Two-sided Student interval; NaN where the uncertainty is not known.
+
+        Parameters
+        ----------
+        confidence : float
+            Confidence level, 0 to 1.
+
+        Returns
+        -------
+        low : float
+            Lower limit.
+        high : float
+            Upper limit.
+        """
         half = student_quantile(0.5 + confidence / 2, self.dof) * self.sd
         return self.value - half, self.value + half
 
     def p_value(self) -> float:
-        """Two-sided p-value of the null hypothesis that the true value is 0."""
+        """Two-sided p-value of the null hypothesis that the true value is 0.
+
+        Returns
+        -------
+        float
+            Probability; NaN where the uncertainty is not known.
+        """
         if not self.sd > 0:
             return NAN
         off = -abs(self.value / self.sd)
@@ -41,12 +70,36 @@ class Estimate:
 
 
 def student_quantile(probability: float, dof: float) -> float:
-    """Quantile of Student's distribution at `probability`; of the normal one for infinite `dof`."""
+    """Quantile of Student's distribution at `probability`; of the normal one for infinite `dof`.
+
+    Parameters
+    ----------
+    probability : float
+        Probability below the quantile, 0 to 1.
+    dof : float
+        Degrees of freedom.
+
+    Returns
+    -------
+    float
+        The quantile.
+    """
     return float(special.ndtri(probability) if math.isinf(dof) else special.stdtrit(dof, probability))
 
 
 def mean_of(values: ArrayLike) -> Estimate:
-    """Mean of repeated measurements and its standard uncertainty; NaN uncertainty from a single one."""
+    """Mean of repeated measurements and its standard uncertainty; NaN uncertainty from a single one.
+
+    Parameters
+    ----------
+    values : ArrayLike
+        (N,) repeated measurements.
+
+    Returns
+    -------
+    Estimate
+        The mean, with N - 1 degrees of freedom.
+    """
     values = np.asarray(values, dtype=float)
     if values.size < 2:
         return Estimate(float(values[0]) if values.size else NAN, NAN, 1)
@@ -57,6 +110,18 @@ def combined(value: float, parts: Sequence[tuple[float, Estimate]]) -> Estimate:
     """`value` with the uncertainty of independent inputs: a pair (derivative by that input, the input) each.
 
     Source: GUM 5.1.2 and the Welch-Satterthwaite formula G.2b.
+
+    Parameters
+    ----------
+    value : float
+        The value computed from the inputs.
+    parts : sequence of tuple of (float, Estimate)
+        Pairs (derivative of the value with respect to an input, the input).
+
+    Returns
+    -------
+    Estimate
+        The value with its combined uncertainty and effective degrees of freedom.
     """
     variances = [(slope * part.sd) ** 2 for slope, part in parts if slope != 0]
     total = sum(variances)
@@ -70,7 +135,22 @@ def combined(value: float, parts: Sequence[tuple[float, Estimate]]) -> Estimate:
 
 
 def line_through(x: FloatArray, y: FloatArray, at: float) -> tuple[Estimate, Estimate]:
-    """Least-squares line through three points or more: its slope, and its value at `at`."""
+    """Least-squares line through three points or more: its slope, and its value at `at`.
+
+    Parameters
+    ----------
+    x, y : ndarray of float
+        (N,) points, N >= 3.
+    at : float
+        Where the line is evaluated.
+
+    Returns
+    -------
+    slope : Estimate
+        Slope of the line.
+    value : Estimate
+        Value of the line at `at`.
+    """
     centre = x.mean()
     spread = float(((x - centre) ** 2).sum())
     slope = float(((x - centre) * y).sum()) / spread
@@ -85,7 +165,18 @@ def line_through(x: FloatArray, y: FloatArray, at: float) -> tuple[Estimate, Est
 
 
 def holm_adjusted(p_values: Sequence[float]) -> list[float]:
-    """Holm's adjusted p-values (Scand. J. Statist. 6, 1979) of one family; NaN stays NaN and does not count."""
+    """Holm's adjusted p-values (Scand. J. Statist. 6, 1979) of one family; NaN stays NaN and does not count.
+
+    Parameters
+    ----------
+    p_values : sequence of float
+        p-values of one family of tests.
+
+    Returns
+    -------
+    list of float
+        Adjusted p-values, in the same order.
+    """
     known = sorted((p, index) for index, p in enumerate(p_values) if p == p)
     adjusted = [NAN] * len(p_values)
     largest = 0.0

@@ -33,6 +33,16 @@ _ESCAPES = {
 def latex_text(text: str) -> str:
     """Text escaped for LaTeX; line breaks and control characters become spaces.
 
+    Parameters
+    ----------
+    text : str
+        Plain text.
+
+    Returns
+    -------
+    str
+        LaTeX source of one line.
+
     Examples
     --------
     >>> latex_text("50% of a_b & 3° ± 1°")
@@ -42,7 +52,18 @@ def latex_text(text: str) -> str:
 
 
 def latex_table(table: PaperTable) -> str:
-    """A `table` environment, to be included with \\input; the document needs \\usepackage{booktabs}."""
+    """A `table` environment, to be included with \\input; the document needs \\usepackage{booktabs}.
+
+    Parameters
+    ----------
+    table : PaperTable
+        The table.
+
+    Returns
+    -------
+    str
+        LaTeX source.
+    """
     columns = "".join("r" if column.numeric else "l" for column in table.columns)
     lines = [
         r"% needs \usepackage{booktabs}; \usepackage[T1]{fontenc} for quotation marks in names",

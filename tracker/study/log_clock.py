@@ -55,6 +55,11 @@ def order_clock(time_s: FloatArray, value: FloatArray) -> OrderedClock:
         (N,) s, NaN where unreadable.
     value : ndarray of float
         (N,) what was measured; it distinguishes a clock that jumped from samples that are missing.
+
+    Returns
+    -------
+    OrderedClock
+        The rows to take and their times.
     """
     warnings: list[str] = []
     rows = np.flatnonzero(np.isfinite(time_s))
@@ -73,7 +78,18 @@ def order_clock(time_s: FloatArray, value: FloatArray) -> OrderedClock:
 
 
 def usual_step_s(time_s: FloatArray) -> float:
-    """Median time from sample to sample, s; NaN with fewer than two."""
+    """Median time from sample to sample, s; NaN with fewer than two.
+
+    Parameters
+    ----------
+    time_s : ndarray of float
+        (N,) times, s.
+
+    Returns
+    -------
+    float
+        Seconds.
+    """
     return float(np.median(np.diff(time_s))) if len(time_s) > 1 else float("nan")
 
 
@@ -154,7 +170,7 @@ def _gaps(times: FloatArray, usual: float) -> NDArray[np.intp]:
 
 
 def _goes_on(times: FloatArray, values: FloatArray, at: int, usual: float) -> bool:
-    """Whether lines fitted to the samples on both sides are continuous without the gap, and not with it."""
+    """Whether lines fitted to the samples on both sides are continuous if the gap is removed, and not otherwise."""
     n = max(8, round(0.1 / usual))
     before, after = slice(max(0, at + 1 - n), at + 1), slice(at + 1, at + 1 + n)
     a, b = values[before], values[after]

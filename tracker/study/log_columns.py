@@ -33,7 +33,7 @@ class LogColumn:
     name : str
         Name as in the file, without its unit.
     unit : str or None
-        Unit as `units.split_unit` returns it.
+        Unit, as returned by `units.split_unit`.
     values : ndarray of float
         (M,) NaN where a cell is empty or not a number.
     is_clock : bool
@@ -53,7 +53,19 @@ class LogColumn:
 
 
 class ChosenColumns(NamedTuple):
-    """The chosen columns of a log; None where there is none."""
+    """The chosen columns of a log; None where there is none.
+
+    Attributes
+    ----------
+    pressure : LogColumn
+        The measured pressure.
+    time : LogColumn or None
+        The times of the samples.
+    reference : LogColumn or None
+        The reference wave.
+    sync : LogColumn or None
+        The sync channel.
+    """
 
     pressure: LogColumn
     time: LogColumn | None
@@ -65,6 +77,20 @@ def choose_columns(columns: Sequence[LogColumn], asked: LogFormat, where: str) -
     """Pressure, time, reference and sync: those named by the user first, then by units and names.
 
     `where` opens messages.
+
+    Parameters
+    ----------
+    columns : sequence of LogColumn
+        Columns of the log.
+    asked : LogFormat
+        The user's settings.
+    where : str
+        Begins error messages.
+
+    Returns
+    -------
+    ChosenColumns
+        The chosen columns.
 
     Raises
     ------
@@ -106,6 +132,22 @@ def choose_columns(columns: Sequence[LogColumn], asked: LogFormat, where: str) -
 def named_column(columns: Sequence[LogColumn], wanted: str | int, key: str, where: str) -> LogColumn:
     """The column that the user names, by its name (with or without the part before a dot) or its number from 1.
 
+    Parameters
+    ----------
+    columns : sequence of LogColumn
+        Columns of the log.
+    wanted : str or int
+        Name, or number from 1.
+    key : str
+        The user's setting, for messages.
+    where : str
+        Begins error messages.
+
+    Returns
+    -------
+    LogColumn
+        The column.
+
     Raises
     ------
     PressureLogError
@@ -142,6 +184,18 @@ def named_column(columns: Sequence[LogColumn], wanted: str | int, key: str, wher
 def time_column(columns: Sequence[LogColumn], where: str) -> LogColumn | None:
     """The only column that is a time by its cells, its unit or its name; None where there is none.
 
+    Parameters
+    ----------
+    columns : sequence of LogColumn
+        Columns of the log.
+    where : str
+        Begins error messages.
+
+    Returns
+    -------
+    LogColumn or None
+        The column of times.
+
     Raises
     ------
     PressureLogError
@@ -160,6 +214,18 @@ def time_column(columns: Sequence[LogColumn], where: str) -> LogColumn | None:
 def pressure_column(columns: Sequence[LogColumn], where: str) -> LogColumn:
     """The only column that is a pressure by name or unit, or the only one that is not a time.
 
+    Parameters
+    ----------
+    columns : sequence of LogColumn
+        Columns of the log.
+    where : str
+        Begins error messages.
+
+    Returns
+    -------
+    LogColumn
+        The column of pressures.
+
     Raises
     ------
     PressureLogError
@@ -177,7 +243,25 @@ def pressure_column(columns: Sequence[LogColumn], where: str) -> LogColumn:
 
 
 def reference_column(columns: Sequence[LogColumn], where: str) -> LogColumn | None:
-    """The only column that is the pressure asked for, by its name; None where there is none."""
+    """The only column that is the pressure asked for, by its name; None where there is none.
+
+    Parameters
+    ----------
+    columns : sequence of LogColumn
+        Columns of the log.
+    where : str
+        Begins error messages.
+
+    Returns
+    -------
+    LogColumn or None
+        The column of the reference wave.
+
+    Raises
+    ------
+    PressureLogError
+        Several could be.
+    """
     left = [c for c in columns if not _is_time(c)]
     found = [c for c in left if words_of(c.name) & (_REFERENCE_WORDS - {"d"})]
     found = found or [c for c in left if is_pressure(c) and "d" in words_of(c.name)]
@@ -185,7 +269,25 @@ def reference_column(columns: Sequence[LogColumn], where: str) -> LogColumn | No
 
 
 def sync_column(columns: Sequence[LogColumn], where: str) -> LogColumn | None:
-    """The only column that is a sync channel by its name; None where there is none."""
+    """The only column that is a sync channel by its name; None where there is none.
+
+    Parameters
+    ----------
+    columns : sequence of LogColumn
+        Columns of the log.
+    where : str
+        Begins error messages.
+
+    Returns
+    -------
+    LogColumn or None
+        The column of the sync channel.
+
+    Raises
+    ------
+    PressureLogError
+        Several could be.
+    """
     found = [c for c in columns if not _is_time(c) and words_of(c.name) & _SYNC_WORDS]
     return _only(found, "sync", where) if found else None
 
@@ -196,7 +298,18 @@ def _is_time(column: LogColumn) -> bool:
 
 
 def is_pressure(column: LogColumn) -> bool:
-    """Whether a column's unit or name says that it is a pressure, measured or asked for."""
+    """Whether a column's unit or name says that it is a pressure, measured or asked for.
+
+    Parameters
+    ----------
+    column : LogColumn
+        A column of a log.
+
+    Returns
+    -------
+    bool
+        Whether it is a pressure.
+    """
     return column.unit in KPA_IN or bool(words_of(column.name) & _PRESSURE_WORDS)
 
 

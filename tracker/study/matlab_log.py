@@ -30,6 +30,16 @@ def matlab_columns(path: Path) -> list[LogColumn]:
     of the others); structures of vectors; Simulink's "structure with time" (fields time and signals, each
     signal with values and perhaps a label) and structures made from a timeseries (fields Time and Data).
 
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    list of LogColumn
+        The columns, numbered from 1.
+
     Raises
     ------
     PressureLogError

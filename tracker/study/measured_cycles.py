@@ -28,7 +28,19 @@ _REST_FRACTION = 0.1
 
 @dataclass(frozen=True)
 class Coverage:
-    """Frames in a cycle, those without an angle or a pressure, the longest gap and its start."""
+    """Frames in a cycle, those without an angle or a pressure, the longest gap and its start.
+
+    Attributes
+    ----------
+    frames : int
+        Number of frames in the cycle.
+    missing : int
+        Frames without an angle or a pressure.
+    longest_gap_s : float
+        Longest time without a usable frame, s.
+    gap_at_s : float
+        Begin of that gap, s.
+    """
 
     frames: int
     missing: int
@@ -78,7 +90,20 @@ class MeasuredCycles:
 
 
 def measure_cycles(trial: TrialData, train: CycleTrain) -> MeasuredCycles:
-    """Measure all complete cycles of a trial that has frames with both an angle and a pressure."""
+    """Measure all complete cycles of a trial that has frames with both an angle and a pressure.
+
+    Parameters
+    ----------
+    trial : TrialData
+        The trial.
+    train : CycleTrain
+        Its complete cycles, at least one.
+
+    Returns
+    -------
+    MeasuredCycles
+        Loops, turns and numbers of all cycles.
+    """
     frames = (trial.time_s, trial.angle_deg, trial.pressure_kpa, trial.pressure_rate_kpa_s)
     log = (trial.log_time_s, trial.log_pressure_kpa)
     peaks = turning_pressure(*log, train.turn_s, train.period_s)

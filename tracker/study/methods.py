@@ -9,7 +9,18 @@ if TYPE_CHECKING:
 
 
 def methods_text(results: StudyResults) -> list[str]:
-    """The methods, one string for each paragraph."""
+    """The methods, one string for each paragraph.
+
+    Parameters
+    ----------
+    results : StudyResults
+        Results of the study.
+
+    Returns
+    -------
+    list of str
+        Plain text.
+    """
     confidence = f"{100 * results.confidence:g} %"
     return [
         "Angles were measured on every frame of the video and pressures by a log of its own clock. The log was brought "

@@ -13,6 +13,18 @@ _PLUS_MINUS = "\u00a0±\u00a0"
 def plain_number(value: float, decimals: int) -> str:
     """A value with this number of decimals, or a dash where it is missing.
 
+    Parameters
+    ----------
+    value : float
+        The number.
+    decimals : int
+        Number of decimals.
+
+    Returns
+    -------
+    str
+        The number, with a typographic minus sign.
+
     Examples
     --------
     >>> plain_number(-0.00004, 3), plain_number(float("nan"), 3), plain_number(-1.26, 1)
@@ -27,9 +39,23 @@ def plain_number(value: float, decimals: int) -> str:
 
 
 def with_interval(value: float, low: float, high: float, decimals: int) -> str:
-    """A value and half the width of its interval, with more decimals where the half width needs them.
+    """A value and half the width of its interval, with more decimals where the half width needs more.
 
     The value alone where there is no interval.
+
+    Parameters
+    ----------
+    value : float
+        The number.
+    low, high : float
+        Limits of its interval.
+    decimals : int
+        Least number of decimals.
+
+    Returns
+    -------
+    str
+        For example "0.279 ± 0.004".
 
     Examples
     --------

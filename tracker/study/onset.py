@@ -27,7 +27,15 @@ _MAX_SAMPLES = 180
 
 @dataclass(frozen=True)
 class Onset:
-    """Time of an onset, s on the signal's own clock, and its standard uncertainty, s."""
+    """Time of an onset, s on the signal's own clock, and its standard uncertainty, s.
+
+    Attributes
+    ----------
+    time_s : float
+        Time of the onset, s.
+    sd_s : float
+        Its standard uncertainty, s.
+    """
 
     time_s: float
     sd_s: float
@@ -45,6 +53,11 @@ def rising_edges(time_s: FloatArray, value: FloatArray, where: str) -> list[Onse
         (M,) rising times in s, and the signal; NaN values are ignored.
     where : str
         Begins error messages.
+
+    Returns
+    -------
+    list of Onset
+        All rising edges, in the order of time.
 
     Raises
     ------
@@ -77,10 +90,15 @@ def onset_from_rest(time_s: FloatArray, value: FloatArray, where: str) -> Onset:
     where : str
         Begins error messages.
 
+    Returns
+    -------
+    Onset
+        The onset.
+
     Raises
     ------
     StudyError
-        The signal does not begin with a rest, or does not leave it.
+        The signal does not begin with a rest, or stays at rest.
     """
     time_s, value = _known(time_s, value, where)
     n_rest = int(np.searchsorted(time_s, time_s[0] + _REST_S))

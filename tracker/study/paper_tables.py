@@ -23,7 +23,15 @@ Row = Mapping[Any, Any]
 
 @dataclass(frozen=True)
 class TableColumn:
-    """A heading with its unit, and whether the column is set as numbers."""
+    """A heading with its unit, and whether the column is set as numbers.
+
+    Attributes
+    ----------
+    heading : str
+        Heading, with the unit.
+    numeric : bool
+        Whether the cells are aligned as numbers.
+    """
 
     heading: str
     numeric: bool = True
@@ -39,6 +47,8 @@ class PaperTable:
         Name of its file, and of its label in LaTeX.
     caption, note : str
         Text above and below the table.
+    columns : tuple of TableColumn
+        Headings of the columns.
     rows : tuple of tuple of str
         One string for each column.
     grouped : bool
@@ -58,8 +68,15 @@ def paper_tables(results: StudyResults, labels: Mapping[str, str]) -> list[Paper
 
     Parameters
     ----------
+    results : StudyResults
+        Results of the study.
     labels : mapping of str to str
         Label of each design, by its name.
+
+    Returns
+    -------
+    list of PaperTable
+        The tables.
     """
     tables = [
         _constant_angle(results, labels),
@@ -73,7 +90,18 @@ def paper_tables(results: StudyResults, labels: Mapping[str, str]) -> list[Paper
 
 
 def widest_comparisons(constant_angle: pd.DataFrame) -> pd.DataFrame:
-    """Of each design at each frequency the comparison at the largest angle, where one could be made."""
+    """Of each design at each frequency the comparison at the largest angle, where one could be made.
+
+    Parameters
+    ----------
+    constant_angle : DataFrame
+        `StudyResults.constant_angle`.
+
+    Returns
+    -------
+    DataFrame
+        Rows of it.
+    """
     made = constant_angle.dropna(subset=["design_ratio", "baseline_ratio"])
     if made.empty:
         return made
@@ -81,7 +109,18 @@ def widest_comparisons(constant_angle: pd.DataFrame) -> pd.DataFrame:
 
 
 def best_comparisons(constant_angle: pd.DataFrame) -> pd.DataFrame:
-    """At each frequency the design that improves most, of those in `widest_comparisons`."""
+    """At each frequency the design that improves most, of those in `widest_comparisons`.
+
+    Parameters
+    ----------
+    constant_angle : DataFrame
+        `StudyResults.constant_angle`.
+
+    Returns
+    -------
+    DataFrame
+        Rows of it, one per frequency.
+    """
     widest = widest_comparisons(constant_angle).dropna(subset=["improvement"])
     if widest.empty:
         return widest
@@ -89,25 +128,79 @@ def best_comparisons(constant_angle: pd.DataFrame) -> pd.DataFrame:
 
 
 def interval_note(results: StudyResults) -> str:
-    """What "±" means in the tables."""
+    """What "±" means in the tables.
+
+    Parameters
+    ----------
+    results : StudyResults
+        Results of the study.
+
+    Returns
+    -------
+    str
+        Text for the note of a table.
+    """
     return f"± is half the {100 * results.confidence:g} % interval"
 
 
 def interval_of(row: Row, column: str, decimals: int, *, scale: float = 1.0) -> str:
-    """A column with its interval from a row of the results, times `scale`."""
+    """A column with its interval from a row of the results, times `scale`.
+
+    Parameters
+    ----------
+    row : Row
+        A row of a table of the results.
+    column : str
+        Name of a column with an interval.
+    decimals : int
+        Least number of decimals.
+    scale : float, optional
+        Factor.
+
+    Returns
+    -------
+    str
+        For example "0.279 ± 0.004".
+    """
     value, low, high = (scale * float(row[name]) for name in (column, f"{column}_low", f"{column}_high"))
     return with_interval(value, low, high, decimals)
 
 
 def percent_of(row: Row, column: str) -> str:
-    """A fraction with its interval, in per cent."""
+    """A fraction with its interval, in per cent.
+
+    Parameters
+    ----------
+    row : Row
+        A row of a table of the results.
+    column : str
+        Name of a column with an interval.
+
+    Returns
+    -------
+    str
+        For example "21.5 ± 1.2 %".
+    """
     if not math.isfinite(row[column]):
         return MISSING
     return f"{interval_of(row, column, 1, scale=100)}\u00a0%"
 
 
 def with_unit(value: float, unit: str) -> str:
-    """A nominal value with its unit, as given; a dash where none was given."""
+    """A nominal value with its unit, as given; a dash where none was given.
+
+    Parameters
+    ----------
+    value : float
+        The number, NaN where not given.
+    unit : str
+        Its unit.
+
+    Returns
+    -------
+    str
+        For example "45 kPa".
+    """
     return f"{value:g} {unit}" if math.isfinite(value) else MISSING
 
 

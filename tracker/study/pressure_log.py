@@ -77,6 +77,18 @@ def read_pressure_log(path: str | Path, log_format: LogFormat | None = None) -> 
     Times may be numbers, written dates or times of day. Rows are sorted by time as in `log_clock`;
     gaps, repeats, clock jumps, saturation, constant and negative pressure are reported in `warnings`.
 
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    log_format : LogFormat or None, optional
+        The user's settings; None detects everything.
+
+    Returns
+    -------
+    PressureLog
+        The log.
+
     Raises
     ------
     PressureLogError

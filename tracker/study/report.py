@@ -74,8 +74,14 @@ def write_report(
 
     Parameters
     ----------
+    results : StudyResults
+        All tables of the study.
     trials : sequence of TrialData
         The trials that `results` were computed from.
+    study : Study
+        The study file.
+    out_dir : str or Path
+        Folder to write into, made with its parents.
     workers : int, optional
         Number of additional processes that draw the trials' own figures. Each starts its own Python, so a script
         that uses them needs the usual `if __name__ == "__main__":`.

@@ -36,6 +36,25 @@ class Stair:
 
     `direction` is "up" or "down" from the stair before (the first has the direction of the next).
     `spread_deg` is the frames' standard deviation, `angle_deg` their mean with its uncertainty.
+
+    Attributes
+    ----------
+    number : int
+        Number of the stair, from 1.
+    direction : str
+        "up" or "down".
+    start_s, end_s : float
+        Begin and end of the steady pressure, s.
+    pressure_kpa : float
+        Mean pressure while the angle is read, kPa.
+    angle_deg : Estimate
+        Mean angle of the frames read, degrees.
+    spread_deg : float
+        Standard deviation of these frames, degrees.
+    frames : int
+        Number of these frames.
+    model_angle_deg : float
+        Angle of the model curve at this pressure, NaN where it has none.
     """
 
     number: int
@@ -54,6 +73,21 @@ class StaticNumbers:
     """The stairs of a trial, and the error of the model curve at those of the first pressurisation.
 
     `stairs_compared` counts the rising stairs within the model's range of pressures.
+
+    Attributes
+    ----------
+    stairs : tuple of Stair
+        All stairs, in the order of time.
+    range_deg : float
+        Range of the angles of the first pressurisation, degrees.
+    rmse_deg : Estimate
+        Root mean square of measured minus model angle, degrees.
+    nrmse : Estimate
+        `rmse_deg` over `range_deg`.
+    stairs_compared : int
+        Number of stairs in `rmse_deg`.
+    warnings : tuple of str
+        One sentence each.
     """
 
     stairs: tuple[Stair, ...]
@@ -65,7 +99,18 @@ class StaticNumbers:
 
 
 def measure_static(trial: TrialData) -> StaticNumbers:
-    """Stairs found from the pressure alone, their angles, and the comparison with the model curve."""
+    """Stairs found from the pressure alone, their angles, and the comparison with the model curve.
+
+    Parameters
+    ----------
+    trial : TrialData
+        The trial.
+
+    Returns
+    -------
+    StaticNumbers
+        The stairs and the comparison.
+    """
     warnings: list[str] = []
     spans = _steady_spans(trial.time_s, trial.pressure_kpa)
     if not spans:

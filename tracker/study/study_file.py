@@ -257,6 +257,16 @@ class Study:
 def read_study(path: str | Path) -> Study:
     """Read a study file. The files that it names need not be there yet.
 
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+
+    Returns
+    -------
+    Study
+        The study, with resolved paths.
+
     Raises
     ------
     StudyError

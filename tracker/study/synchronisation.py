@@ -26,7 +26,15 @@ _UNSURE_FRAMES = 2.0
 
 @dataclass(frozen=True)
 class Synchronised:
-    """The shift, and warnings about it, a line each."""
+    """The shift, and warnings about it, a line each.
+
+    Attributes
+    ----------
+    shift : Shift
+        The shift and its uncertainty.
+    warnings : tuple of str
+        A line each.
+    """
 
     shift: Shift
     warnings: tuple[str, ...]
@@ -59,6 +67,11 @@ def synchronise(
     where : str
         Begins messages.
 
+    Returns
+    -------
+    Synchronised
+        The shift and its warnings.
+
     Raises
     ------
     StudyError
@@ -89,10 +102,19 @@ def led_brightness(
 
     Parameters
     ----------
+    video : str or Path
+        The video file.
     region_px : tuple of (int, int, int, int)
         X, y, width and height in px of the frame as displayed.
     window_s : tuple of (float, float) or None, optional
         Only frames within this time window are read.
+
+    Returns
+    -------
+    time_s : ndarray of float
+        (T,) times of the frames, s.
+    brightness : ndarray of float
+        (T,) mean of the region, 0 to 255; NaN where a frame is undecodable.
 
     Raises
     ------

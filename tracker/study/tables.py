@@ -15,6 +15,18 @@ from ..errors import ResultsError, reason
 def write_csv_tables(tables: Mapping[str, pd.DataFrame], folder: str | Path) -> list[Path]:
     """Write each table to `folder`/<name>.csv, whole or not at all; NaN is an empty cell.
 
+    Parameters
+    ----------
+    tables : mapping of str to DataFrame
+        Tables by name.
+    folder : str or Path
+        An existing folder.
+
+    Returns
+    -------
+    list of Path
+        Paths of the files.
+
     Raises
     ------
     ResultsError

@@ -33,6 +33,16 @@ _NOMINAL_FACTOR = 1.6
 def load_trials(study: Study) -> Iterator[TrialData]:
     """Read the trials of a study one after the other, in the order of the file.
 
+    Parameters
+    ----------
+    study : Study
+        The study.
+
+    Returns
+    -------
+    iterator of TrialData
+        The trials.
+
     Raises
     ------
     BendtrackError
@@ -44,6 +54,18 @@ def load_trials(study: Study) -> Iterator[TrialData]:
 
 def load_trial(study: Study, settings: TrialSettings) -> TrialData:
     """Read one trial and bring it to the video's clock.
+
+    Parameters
+    ----------
+    study : Study
+        The study.
+    settings : TrialSettings
+        One of its trials.
+
+    Returns
+    -------
+    TrialData
+        The trial on the video's clock.
 
     Raises
     ------

@@ -50,7 +50,18 @@ class TurningPressure:
     unseen_kpa: float = 0.0
 
     def off_kpa(self, late_s: FloatArray) -> FloatArray:
-        """Pressure minus that of the turn, `late_s` after a turn; NaN beyond the ends of the curve."""
+        """Pressure minus that of the turn, `late_s` after a turn; NaN beyond the ends of the curve.
+
+        Parameters
+        ----------
+        late_s : ndarray of float
+            Times after a turn, s; any shape.
+
+        Returns
+        -------
+        ndarray of float
+            kPa, of the same shape.
+        """
         return np.interp(late_s, self.curve_s, self.curve_kpa, left=np.nan, right=np.nan)
 
 
@@ -72,6 +83,11 @@ def turning_pressure(
         (C,) approximate times of the turns.
     period_s : float
         Period of the cycles.
+
+    Returns
+    -------
+    TurningPressure
+        Time and pressure of each turn, and the common curve.
     """
     known = np.isfinite(pressure_kpa)
     time_s, pressure_kpa = time_s[known], pressure_kpa[known]

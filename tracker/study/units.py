@@ -49,6 +49,16 @@ _WORDS = re.compile(r"[^\W_]+")
 def known_unit(text: str) -> str | None:
     """The unit named by a text, in this module's spelling; None if there is none. "mPa" is not read as "MPa".
 
+    Parameters
+    ----------
+    text : str
+        A unit as written.
+
+    Returns
+    -------
+    str or None
+        A key of `KPA_IN`, `VOLT_IN` or `SECONDS_IN`.
+
     Examples
     --------
     >>> known_unit("KPA"), known_unit("seconds"), known_unit("mPa"), known_unit("apples")
@@ -64,6 +74,11 @@ def split_unit(header: str) -> tuple[str, str | None]:
     """Name and unit of a column's header: "P [kPa]", "Pressure (psi)", "pressure_psi", "time / s", "kPa".
 
     Without brackets, only a time has a unit of time: a "P_d" is no pressure in days.
+
+    Parameters
+    ----------
+    header : str
+        The header as written.
 
     Returns
     -------
@@ -95,6 +110,16 @@ def split_unit(header: str) -> tuple[str, str | None]:
 def words_of(name: str) -> set[str]:
     """Words of a name in lower case, split at punctuation and before capitals.
 
+    Parameters
+    ----------
+    name : str
+        A name.
+
+    Returns
+    -------
+    set of str
+        The words.
+
     Examples
     --------
     >>> sorted(words_of("PressureRef_2"))
@@ -106,6 +131,20 @@ def words_of(name: str) -> set[str]:
 
 def factor_to_kpa(unit: str, gain_kpa_per_v: float | None, where: str) -> float:
     """kPa in one of a column's units; for a voltage, by the sensor's gain.
+
+    Parameters
+    ----------
+    unit : str
+        Unit of the column, as `known_unit` spells it.
+    gain_kpa_per_v : float or None
+        Gain of the sensor, kPa per V.
+    where : str
+        Begins error messages.
+
+    Returns
+    -------
+    float
+        kPa per unit.
 
     Raises
     ------

@@ -24,6 +24,13 @@ def bars_figure(dynamic: pd.DataFrame, styles: Mapping[str, DesignStyle]) -> Fig
     ----------
     dynamic : DataFrame
         One row per trial, with design, frequency_hz, pressure_pp_kpa, and each metric with its _low, _high.
+    styles : mapping of str to DesignStyle
+        Style of each design, by its name.
+
+    Returns
+    -------
+    Figure
+        The figure.
     """
     frequencies = sorted(dynamic["frequency_hz"].dropna().unique())
     with house_style():

@@ -36,6 +36,11 @@ def control_figure(trials: Sequence[TrialData], rmse_kpa: Sequence[float]) -> Fi
         Trials, which must have a reference.
     rmse_kpa : sequence of float
         RMSE of each trial, over its whole log.
+
+    Returns
+    -------
+    Figure
+        The figure.
     """
     with house_style():
         figure = new_figure(PAGE_MM, 70)

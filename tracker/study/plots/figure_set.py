@@ -63,7 +63,19 @@ class WrittenFigure:
 
 @dataclass(frozen=True)
 class Leaf:
-    """Data for a trial's leaf: the cycles used, an excluded first one, the rectangle, a note."""
+    """Data for a trial's leaf: the cycles used, an excluded first one, the rectangle, a note.
+
+    Attributes
+    ----------
+    loops : tuple of ndarray of float
+        (N, 2) kPa and deg of each cycle used.
+    apart : tuple of ndarray of float
+        The excluded first cycle, where there is one.
+    largest_pressure_kpa, largest_angle_deg : float
+        Sides of the rectangle, NaN for none.
+    note : str
+        Text inside the rectangle.
+    """
 
     loops: tuple[FloatArray, ...] = ()
     apart: tuple[FloatArray, ...] = ()
@@ -76,6 +88,22 @@ def write_study_figures(
     results: StudyResults, trials: Sequence[TrialData], styles: dict[str, DesignStyle], folder: Path
 ) -> list[WrittenFigure]:
     """The figures of the whole study; a figure without data is omitted.
+
+    Parameters
+    ----------
+    results : StudyResults
+        Results of the study.
+    trials : sequence of TrialData
+        The trials that `results` were computed from.
+    styles : dict of str to DesignStyle
+        Style of each design, by its name.
+    folder : Path
+        Folder of the figures.
+
+    Returns
+    -------
+    list of WrittenFigure
+        The figures written.
 
     Raises
     ------
@@ -199,7 +227,26 @@ def start_trial_sheets(
     folder: Path,
     workers: int,
 ) -> TrialSheets:
-    """Start to write a sheet for each trial, in `workers` other processes (0: in this one, when collected)."""
+    """Start to write a sheet for each trial, in `workers` other processes (0: in this one, when collected).
+
+    Parameters
+    ----------
+    results : StudyResults
+        Results of the study.
+    trials : sequence of TrialData
+        The trials that `results` were computed from.
+    styles : dict of str to DesignStyle
+        Style of each design, by its name.
+    folder : Path
+        Folder of the figures.
+    workers : int
+        Number of additional processes.
+
+    Returns
+    -------
+    TrialSheets
+        The sheets, to be used in a `with` block.
+    """
     names = file_names(trial.name for trial in trials)
     leaves = leaves_of(results)
     jobs = [
@@ -231,6 +278,11 @@ class TrialSheets:
     def collect(self) -> dict[str, WrittenFigure]:
         """Every trial's sheet, by the trial's name.
 
+        Returns
+        -------
+        dict of str to WrittenFigure
+            The sheets written.
+
         Raises
         ------
         ResultsError
@@ -249,7 +301,29 @@ class TrialSheets:
 
 
 def write_sheet(trial: TrialData, style: DesignStyle, leaf: Leaf, stem: Path) -> bytes:
-    """Write one trial's sheet (PDF, PNG) and return its image for the report."""
+    """Write one trial's sheet (PDF, PNG) and return its image for the report.
+
+    Parameters
+    ----------
+    trial : TrialData
+        The trial.
+    style : DesignStyle
+        Style of its design.
+    leaf : Leaf
+        Its leaf.
+    stem : Path
+        Path of the files, without suffix.
+
+    Returns
+    -------
+    bytes
+        A PNG.
+
+    Raises
+    ------
+    ResultsError
+        A file cannot be written.
+    """
     figure = trial_sheet_figure(
         trial,
         style,
@@ -271,7 +345,18 @@ def _reused_sheet(with_leaf: bool) -> Figure:
 
 
 def leaves_of(results: StudyResults) -> dict[str, Leaf]:
-    """The leaf of every dynamic trial that has loops, by the trial's name."""
+    """The leaf of every dynamic trial that has loops, by the trial's name.
+
+    Parameters
+    ----------
+    results : StudyResults
+        Results of the study.
+
+    Returns
+    -------
+    dict of str to Leaf
+        The leaves.
+    """
     leaves = {}
     for row in results.dynamic.to_dict("records"):
         loops = results.loops.get(row["trial"], [])
@@ -290,6 +375,16 @@ def leaves_of(results: StudyResults) -> dict[str, Leaf]:
 
 def file_names(names: Iterable[str]) -> dict[str, str]:
     """A file name (without suffix) for each trial name: valid on every system, and unique.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Names of the trials.
+
+    Returns
+    -------
+    dict of str to str
+        File name of each trial.
 
     Examples
     --------

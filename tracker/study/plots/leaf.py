@@ -37,12 +37,21 @@ def leaf_figure(
     ----------
     loops : sequence of ndarray of float
         (N, 2) of each cycle used, pressure in kPa and angle in degrees, in the order of time.
+    style : DesignStyle
+        Style of the design.
     largest_pressure_kpa, largest_angle_deg : float
         Sides of the rectangle; not drawn where one is NaN.
     apart : sequence of ndarray of float, optional
         Excluded cycles, drawn in grey.
+    title : str, optional
+        Title of the figure.
     note : str, optional
         Text inside the rectangle, such as the ratio.
+
+    Returns
+    -------
+    Figure
+        The figure.
     """
     with house_style():
         figure = new_figure(COLUMN_MM, 74)
@@ -70,7 +79,21 @@ def draw_leaf(
     apart: Sequence[FloatArray] = (),
     note: str = "",
 ) -> None:
-    """Draw a leaf with its rectangle into `axes` (see `leaf_figure`)."""
+    """Draw a leaf with its rectangle into `axes` (see `leaf_figure`).
+
+    Parameters
+    ----------
+    axes : Axes
+        Axes to draw into.
+    loops, apart : sequence of ndarray of float
+        (N, 2) kPa and deg of each cycle used, and of excluded ones.
+    style : DesignStyle
+        Style of the design.
+    largest_pressure_kpa, largest_angle_deg : float
+        Sides of the rectangle, NaN for none.
+    note : str, optional
+        Text inside the rectangle.
+    """
     _draw_cycles(axes, apart, colour="0.55", label="cycles apart", zorder=1.8)
     _draw_cycles(axes, loops, colour=style.colour, label="cycles", zorder=2)
     if len(loops):
@@ -122,6 +145,16 @@ def mean_loop(loops: Sequence[FloatArray]) -> FloatArray:
     """The mean over cycles at equal phase, (240, 2): for display only, not used for numbers.
 
     Samples are taken as equally spaced in a cycle; where a cycle has a gap, the others count.
+
+    Parameters
+    ----------
+    loops : sequence of ndarray of float
+        (N, 2) kPa and deg of each cycle.
+
+    Returns
+    -------
+    ndarray of float
+        (240, 2) kPa and deg.
     """
     phase = np.linspace(0, 1, _PHASES)
     resampled = np.full((len(loops), _PHASES, 2), np.nan)
@@ -138,7 +171,7 @@ def mean_loop(loops: Sequence[FloatArray]) -> FloatArray:
 
 
 def _draw_arrow(axes: Axes, mean: FloatArray, style: DesignStyle, branch: str) -> None:
-    """An arrowhead on the mean loop, on one branch, with the branch's name next to it."""
+    """An arrowhead on the mean loop, on one branch, labelled with the branch's name."""
     if not np.isfinite(mean).all():
         return
     top = int(mean[:, 0].argmax())

@@ -31,6 +31,13 @@ def leaf_grid_figure(
         One row per trial, with trial, design, frequency_hz and pressure_pp_kpa.
     loops : mapping of str to sequence of ndarray of float
         (N, 2) of each cycle used, pressure in kPa and angle in degrees, by trial.
+    styles : mapping of str to DesignStyle
+        Style of each design, by its name.
+
+    Returns
+    -------
+    Figure
+        The figure.
     """
     shown = dynamic[[len(loops.get(name, ())) > 0 for name in dynamic["trial"]]]
     frequencies = sorted(shown["frequency_hz"].unique())

@@ -82,7 +82,20 @@ def house_style() -> Iterator[None]:
 
 
 def new_figure(width_mm: float, height_mm: float, *, layout: str | None = "constrained") -> Figure:
-    """An empty figure of a size on paper, without a window. Call it within `house_style`."""
+    """An empty figure of a size on paper, without a window. Call it within `house_style`.
+
+    Parameters
+    ----------
+    width_mm, height_mm : float
+        Size on paper, mm.
+    layout : str or None, optional
+        Layout engine of matplotlib, None for none.
+
+    Returns
+    -------
+    Figure
+        The figure.
+    """
     figure = Figure(figsize=(width_mm / 25.4, height_mm / 25.4), layout=layout)  # type: ignore[arg-type]
     FigureCanvasAgg(figure)
     return figure
@@ -90,6 +103,13 @@ def new_figure(width_mm: float, height_mm: float, *, layout: str | None = "const
 
 def save_figure(figure: Figure, stem: str | Path) -> Image.Image:
     """Write `stem`.pdf (vector, TrueType fonts embedded) and `stem`.png (300 dpi), each whole or not at all.
+
+    Parameters
+    ----------
+    figure : Figure
+        The figure.
+    stem : str or Path
+        Path of the files, without suffix.
 
     Returns
     -------
@@ -132,7 +152,22 @@ def _written(path: Path) -> Iterator[Path]:
 
 
 def limits_with_zero(low: float, high: float, *, headroom: float = 0.06) -> tuple[float, float]:
-    """Axis limits that hold [low, high] and zero, with room at the ends that are not zero."""
+    """Axis limits that hold [low, high] and zero, with room at the ends that are not zero.
+
+    Parameters
+    ----------
+    low, high : float
+        Range of the values.
+    headroom : float, optional
+        Fraction of the range that is added at an end.
+
+    Returns
+    -------
+    low : float
+        Lower limit.
+    high : float
+        Upper limit.
+    """
     low, high = min(low, 0.0), max(high, 0.0)
     if not math.isfinite(high - low) or high == low:
         return 0.0, 1.0
@@ -150,11 +185,13 @@ def decimated(time_s: FloatArray, values: FloatArray, n_columns: int) -> tuple[F
     ----------
     time_s, values : ndarray of float
         (N,) series.
+    n_columns : int
+        Number of pixel columns.
 
     Returns
     -------
     time_s, values : ndarray of float
-        (at most 2 `n_columns`,) or the input when it is not denser than that.
+        (at most 2 `n_columns`,) or the input where it is not denser.
     """
     step = len(values) // n_columns
     if step < 4:
@@ -170,5 +207,13 @@ def decimated(time_s: FloatArray, values: FloatArray, n_columns: int) -> tuple[F
 
 
 def light_grid(axes: Axes, which: str = "y") -> None:
-    """Thin grid lines behind the data, along the axis that values are read from."""
+    """Thin grid lines behind the data, along the axis that values are read from.
+
+    Parameters
+    ----------
+    axes : Axes
+        Axes to draw into.
+    which : str, optional
+        "x", "y" or "both".
+    """
     axes.grid(axis=which, color=GRID_GREY, linewidth=0.5)  # type: ignore[arg-type]

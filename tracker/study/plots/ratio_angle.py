@@ -28,6 +28,13 @@ def ratio_angle_figure(
     comparisons : DataFrame
         At most one row per frequency, with frequency_hz, angle_deg, baseline, design, baseline_ratio,
         design_ratio, improvement (a fraction).
+    styles : mapping of str to DesignStyle
+        Style of each design, by its name.
+
+    Returns
+    -------
+    Figure
+        The figure.
     """
     frequencies = sorted(dynamic["frequency_hz"].dropna().unique())
     with house_style():

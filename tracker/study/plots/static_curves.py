@@ -29,6 +29,13 @@ def static_figure(
         model_angle_deg.
     trials : sequence of TrialData
         Trials of the steps, with their model curves.
+    styles : mapping of str to DesignStyle
+        Style of each design, by its name.
+
+    Returns
+    -------
+    Figure
+        The figure.
     """
     with house_style():
         figure = new_figure(COLUMN_MM, 104)

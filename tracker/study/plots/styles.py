@@ -49,7 +49,18 @@ class DesignStyle:
     line: Any
 
     def handle(self, *, marker: bool = True, line: bool = True) -> Line2D:
-        """An entry for a legend."""
+        """An entry for a legend.
+
+        Parameters
+        ----------
+        marker, line : bool, optional
+            Whether the marker, the line is shown.
+
+        Returns
+        -------
+        Line2D
+            A legend handle.
+        """
         return Line2D(
             [],
             [],
@@ -64,7 +75,18 @@ class DesignStyle:
 
 
 def design_styles(designs: Iterable[tuple[str, str, str]]) -> dict[str, DesignStyle]:
-    """The style of each design by name, from (name, label, colour) in the study's order."""
+    """The style of each design by name, from (name, label, colour) in the study's order.
+
+    Parameters
+    ----------
+    designs : iterable of tuple of (str, str, str)
+        Name, label and colour of each design.
+
+    Returns
+    -------
+    dict of str to DesignStyle
+        Style of each design, by its name.
+    """
     return {
         name: DesignStyle(
             label=label,

@@ -29,7 +29,20 @@ _COLUMNS = 1500
 
 
 def time_series_figure(trial: TrialData, style: DesignStyle) -> Figure:
-    """Bending angle and pressure over time, on one time axis; where the angle is unknown the curve has a gap."""
+    """Bending angle and pressure over time, on one time axis; where the angle is unknown the curve has a gap.
+
+    Parameters
+    ----------
+    trial : TrialData
+        The trial.
+    style : DesignStyle
+        Style of its design.
+
+    Returns
+    -------
+    Figure
+        The figure.
+    """
     with house_style():
         figure = new_figure(PAGE_MM, 78)
         angle_axes, pressure_axes = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
@@ -43,7 +56,17 @@ def time_series_figure(trial: TrialData, style: DesignStyle) -> Figure:
 
 
 def draw_time_series(angle_axes: Axes, pressure_axes: Axes, trial: TrialData, style: DesignStyle) -> None:
-    """Draw a trial's angle and pressure over time into two axes, one above the other with one time axis."""
+    """Draw a trial's angle and pressure over time into two axes, one above the other with one time axis.
+
+    Parameters
+    ----------
+    angle_axes, pressure_axes : Axes
+        Axes to draw into.
+    trial : TrialData
+        The trial.
+    style : DesignStyle
+        Style of its design.
+    """
     time_s, angle_deg = decimated(trial.time_s, trial.angle_deg, _COLUMNS)
     angle_axes.plot(time_s, angle_deg, color=style.colour, linewidth=0.8, label="angle")
     angle_axes.set_ylabel("bending angle (°)")

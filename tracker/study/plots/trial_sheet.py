@@ -36,8 +36,25 @@ def trial_sheet_figure(
 
     Parameters
     ----------
+    trial : TrialData
+        The trial.
+    style : DesignStyle
+        Style of its design.
+    loops : sequence of ndarray of float, optional
+        (N, 2) kPa and deg of each cycle used.
+    largest_pressure_kpa, largest_angle_deg : float, optional
+        Sides of the rectangle, NaN for none.
+    apart : sequence of ndarray of float, optional
+        Excluded cycles, drawn in grey.
+    note : str, optional
+        Text inside the rectangle.
     sheet : Figure or None, optional
         A figure from `blank_sheet` or from an earlier call, which is wiped and reused; None for a new one.
+
+    Returns
+    -------
+    Figure
+        The figure.
     """
     with_leaf = len(loops) + len(apart) > 0
     figure = blank_sheet(with_leaf) if sheet is None else sheet
@@ -65,6 +82,16 @@ def blank_sheet(with_leaf: bool) -> Figure:
     """The axes of a sheet, at fixed positions: no layout is solved, and all sheets are aligned.
 
     Creating axes and ticks takes a third of the time of a sheet, so a finished sheet is reused.
+
+    Parameters
+    ----------
+    with_leaf : bool
+        Whether there are axes for a leaf.
+
+    Returns
+    -------
+    Figure
+        The figure.
     """
     with house_style():
         figure = new_figure(PAGE_MM, 62, layout=None)

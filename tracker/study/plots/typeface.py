@@ -23,7 +23,13 @@ _FAMILY_IDS = (1, 16)  # of OpenType's name table
 
 @cache
 def figure_families() -> tuple[str, ...]:
-    """Font families for `font.sans-serif`, registered with matplotlib: the subset, then the whole font."""
+    """Font families for `font.sans-serif`, registered with matplotlib: the subset, then the whole font.
+
+    Returns
+    -------
+    tuple of str
+        Names of font families.
+    """
     options = subset.Options(layout_features=[], name_IDs=["*"], glyph_names=False)
     options.drop_tables += ["GDEF", "GPOS", "GSUB", "kern", "FFTM"]
     path = _folder() / "figures.ttf"
