@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
+from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -66,6 +67,7 @@ def study_of(folder: Path, trials: list[TrialData], title: str = "A study") -> S
     return read_study(path)
 
 
+@cache
 def make_trials(suffix: str = "") -> list[TrialData]:
     """Two designs at two pressures and one frequency, one staircase, one trial whose pump stood still."""
     trials = []
