@@ -127,7 +127,12 @@ def peak_memory(code: str, videos: Mapping[int, Path], *args: str) -> list[int]:
 
     The script gets the video as its first argument, prints the number of frames, and ends.
     """
-    code += "\nimport resource; print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+    # On Linux not ru_maxrss, which includes the memory of the process that started this one.
+    code += (
+        "\nimport re, resource\nfrom pathlib import Path\nstatus = Path('/proc/self/status')\n"
+        "print(re.search(r'VmHWM:\\s+(\\d+)', status.read_text())[1] if status.exists() else\n"
+        "      resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+    )
     running = [
         subprocess.Popen([sys.executable, "-c", code, str(path), *args], stdout=subprocess.PIPE, text=True)
         for path in videos.values()
