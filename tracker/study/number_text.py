@@ -69,6 +69,6 @@ def with_interval(value: float, low: float, high: float, decimals: int) -> str:
     half = (high - low) / 2
     if not (math.isfinite(value) and math.isfinite(half)):
         return plain_number(value, decimals)
-    if 0 < half < 0.5 * 10**-decimals:
-        decimals = math.ceil(-math.log10(2 * half))
+    while half > 0 and float(f"{half:.{decimals}f}") == 0:
+        decimals += 1
     return f"{plain_number(value, decimals)}{_PLUS_MINUS}{plain_number(half, decimals)}"
