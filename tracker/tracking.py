@@ -185,9 +185,9 @@ def tracking_settings(
     dict of str to Any
         JSON-ready settings; the check is recorded under the key `steady`, and only where it runs.
     """
-    asked = {"angle": asdict(definition), "min_likelihood": min_likelihood}
-    settings: dict[str, Any] = json_ready(asked | ({"steady": True} if check_jumps else {}))
-    return settings
+    settings = {"angle": asdict(definition), "min_likelihood": min_likelihood}
+    recorded: dict[str, Any] = json_ready(settings | ({"steady": True} if check_jumps else {}))
+    return recorded
 
 
 def _detect_chunk(detector: VideoDetector, frames: Frames) -> Detections:

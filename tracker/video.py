@@ -65,7 +65,7 @@ class Frame:
 
     @cached_property
     def image(self) -> ImageArray | None:
-        """RGB uint8 (H, W, 3) as displayed, None if undecodable. Converted when first asked for."""
+        """RGB uint8 (H, W, 3) as displayed, None if undecodable. Converted at first access."""
         if self.decoded is None:
             return None
         rgb = _reformatter().reformat(self.decoded, format="rgb24")

@@ -91,7 +91,7 @@ def test_damaged_video_keeps_every_row(arm_video, arm_angles_deg, film, tmp_path
 
 
 class Script:
-    """A detector that answers by frame number from a list, whatever the picture."""
+    """A detector that answers by frame number from a list, whatever the image."""
 
     keypoints = NAMES
     batch_size = 3

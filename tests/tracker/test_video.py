@@ -144,7 +144,7 @@ def test_odd_size_and_single_frame(tmp_path, film):
     assert video.warnings == []
 
 
-def test_audio_beside_the_picture_does_not_matter(tmp_path, film, arm_images):
+def test_audio_does_not_matter(tmp_path, film, arm_images):
     path = film.encode(tmp_path / "sound.mp4", arm_images[:10], with_audio=True)
     assert len(list(Video(path))) == 10
 
@@ -159,7 +159,7 @@ def test_camera_pause_is_said_but_nothing_is_missing(tmp_path, film, arm_images)
 
 
 def test_frames_that_an_avi_recorder_dropped_are_no_lost_frames(tmp_path, film, arm_images):
-    """Its header counts the slots; the dropped ones are empty and have no picture."""
+    """Its header counts the slots; the dropped ones are empty and have no image."""
     slots = [0, 1, 2, 3, 6, 7, 8, 9, 10, 11]
     path = film.encode(
         tmp_path / "dropped.avi",

@@ -199,7 +199,7 @@ class Stream:
 
     @classmethod
     def from_camera(cls, camera: Camera, mode: CameraMode | None = None) -> Stream:
-        """A camera, in its own mode or in the one asked for.
+        """A camera, in its own mode or in the requested one.
 
         Parameters
         ----------

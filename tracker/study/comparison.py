@@ -14,7 +14,7 @@ import numpy as np
 
 from .intervals import NAN, Estimate, combined, holm_adjusted
 
-# Where no angles are asked for, designs are compared at the multiples of this that both reach.
+# Without given angles, designs are compared at the multiples of this that both reach.
 _ANGLE_STEP_DEG = 5.0
 
 

@@ -241,11 +241,11 @@ def _text(folder: Path, trials: list[_TrialFiles], left: list[str]) -> str:
 def _log_format(log: Path) -> tomlkit.items.Table:
     """The section on logs, with comments to fill in where the first log is ambiguous."""
     table = tomlkit.table()
-    table.add(tomlkit.comment("How the logs are read; a trial may say otherwise in a log_format of its own."))
+    table.add(tomlkit.comment("How the logs are read; a trial may have its own log_format."))
     try:
         columns = read_pressure_log(log).provenance["columns"]
-        said = ", ".join(f"{what} '{name}'" for what, name in columns.items() if name)
-        table.add(tomlkit.comment(f"Found in {log.name}: {said}."))
+        found = ", ".join(f"{what} '{name}'" for what, name in columns.items() if name)
+        table.add(tomlkit.comment(f"Found in {log.name}: {found}."))
     except PressureLogError as error:
         table.add(tomlkit.comment(f"TO DO: {str(error).replace(str(log), log.name)}"))
     for line in (
@@ -263,7 +263,7 @@ def _log_format(log: Path) -> tomlkit.items.Table:
 def _sync() -> tomlkit.items.Table:
     table = tomlkit.table()
     table.add(
-        tomlkit.comment("How the log's clock is brought to the video's; a trial may have a sync of its own.")
+        tomlkit.comment("How the log's clock is brought to the video's; a trial may have its own sync.")
     )
     table.add("method", tomlkit.item("shared clock"))
     for line in (

@@ -73,7 +73,7 @@ class ChosenColumns(NamedTuple):
     sync: LogColumn | None
 
 
-def choose_columns(columns: Sequence[LogColumn], asked: LogFormat, where: str) -> ChosenColumns:
+def choose_columns(columns: Sequence[LogColumn], log_format: LogFormat, where: str) -> ChosenColumns:
     """Pressure, time, reference and sync: those named by the user first, then by units and names.
 
     `where` opens messages.
@@ -82,7 +82,7 @@ def choose_columns(columns: Sequence[LogColumn], asked: LogFormat, where: str) -
     ----------
     columns : sequence of LogColumn
         Columns of the log.
-    asked : LogFormat
+    log_format : LogFormat
         The user's settings.
     where : str
         Begins error messages.
@@ -100,7 +100,7 @@ def choose_columns(columns: Sequence[LogColumn], asked: LogFormat, where: str) -
     named = {
         key: named_column(columns, wanted, key, where)
         for key in ("time_column", "pressure_column", "reference_column", "sync_column")
-        if (wanted := getattr(asked, key)) is not None
+        if (wanted := getattr(log_format, key)) is not None
     }
     left = [c for c in columns if c not in named.values()]
     pressure, time = named.get("pressure_column"), named.get("time_column")
@@ -243,7 +243,7 @@ def pressure_column(columns: Sequence[LogColumn], where: str) -> LogColumn:
 
 
 def reference_column(columns: Sequence[LogColumn], where: str) -> LogColumn | None:
-    """The only column that is the pressure asked for, by its name; None where there is none.
+    """The only column that is the reference pressure, by its name; None where there is none.
 
     Parameters
     ----------
@@ -298,7 +298,7 @@ def _is_time(column: LogColumn) -> bool:
 
 
 def is_pressure(column: LogColumn) -> bool:
-    """Whether a column's unit or name says that it is a pressure, measured or asked for.
+    """Whether a column's unit or name says that it is a pressure, measured or reference.
 
     Parameters
     ----------

@@ -154,15 +154,17 @@ def _columns_of(path: Path) -> tuple[list[LogColumn], list[str]]:
     return csv_columns(path)
 
 
-def _counted(n_samples: int, asked: LogFormat, where: str) -> FloatArray:
-    if asked.rate_hz is None:
+def _counted(n_samples: int, log_format: LogFormat, where: str) -> FloatArray:
+    if log_format.rate_hz is None:
         raise PressureLogError(
             f"{where}: expected a column of time, found none by name or unit; give time_column, or rate_hz"
         )
-    return np.arange(n_samples) / asked.rate_hz
+    return np.arange(n_samples) / log_format.rate_hz
 
 
-def _seconds(time: LogColumn, asked: LogFormat, where: str) -> tuple[FloatArray, float | None, list[str]]:
+def _seconds(
+    time: LogColumn, log_format: LogFormat, where: str
+) -> tuple[FloatArray, float | None, list[str]]:
     """Times (N,) in s, the date of time 0 where dates were logged, and warnings."""
     values = time.values
     notes: list[str] = []
@@ -176,7 +178,7 @@ def _seconds(time: LogColumn, asked: LogFormat, where: str) -> tuple[FloatArray,
             values = values + _DAY_S * midnight
             return values - np.nanmin(values), None, notes
         return values - np.nanmin(values), float(np.nanmin(values)), notes
-    unit = _agreed(time.unit, asked.time_unit, "time", where, time.name)
+    unit = _agreed(time.unit, log_format.time_unit, "time", where, time.name)
     if unit is not None and unit not in SECONDS_IN:
         raise PressureLogError(
             f"{where}: column '{time.name}': expected a unit of time ({', '.join(SECONDS_IN)}), got '{unit}'"
@@ -199,15 +201,15 @@ def _seconds(time: LogColumn, asked: LogFormat, where: str) -> tuple[FloatArray,
     return values * factor, None, notes
 
 
-def _kpa(column: LogColumn, asked: LogFormat, where: str) -> tuple[FloatArray, str]:
-    unit = _agreed(column.unit, asked.pressure_unit, "pressure", where, column.name)
+def _kpa(column: LogColumn, log_format: LogFormat, where: str) -> tuple[FloatArray, str]:
+    unit = _agreed(column.unit, log_format.pressure_unit, "pressure", where, column.name)
     if unit is None:
         raise PressureLogError(
             f"{where}: column '{column.name}' names no unit; give pressure_unit ({', '.join(PRESSURE_UNITS)})"
         )
-    factor = factor_to_kpa(unit, asked.gain_kpa_per_v, f"{where}: column '{column.name}'")
+    factor = factor_to_kpa(unit, log_format.gain_kpa_per_v, f"{where}: column '{column.name}'")
     values = np.where(np.isfinite(column.values), column.values, np.nan)
-    return values * factor + asked.offset_kpa, unit
+    return values * factor + log_format.offset_kpa, unit
 
 
 def _agreed(written: str | None, given: str | None, what: str, where: str, name: str) -> str | None:
@@ -223,14 +225,14 @@ def _agreed(written: str | None, given: str | None, what: str, where: str, name:
 
 
 def _reference_kpa(
-    reference: LogColumn, pressure: LogColumn, seconds: FloatArray, asked: LogFormat, path: Path
+    reference: LogColumn, pressure: LogColumn, seconds: FloatArray, log_format: LogFormat, path: Path
 ) -> FloatArray:
     """The reference wave in kPa at the pressure's samples. Without a unit of its own it has the pressure's."""
     own = replace(reference, unit=reference.unit or pressure.unit)
     # The reference may be in kPa where the sensor's voltage was logged.
     if own.unit in KPA_IN and own.unit != pressure.unit:
-        asked = LogFormat()
-    kpa, _ = _kpa(own, asked, str(path))
+        log_format = LogFormat()
+    kpa, _ = _kpa(own, log_format, str(path))
     if len(kpa) == len(seconds) and (
         reference.time is None
         or pressure.time is None
@@ -242,5 +244,5 @@ def _reference_kpa(
             f"{path}: expected a reference of {len(seconds)} samples as the pressure has, "
             f"got {len(kpa)} in '{reference.name}'"
         )
-    own_s, _, _ = _seconds(reference.time, asked, str(path))
+    own_s, _, _ = _seconds(reference.time, log_format, str(path))
     return np.interp(seconds, own_s, kpa, left=np.nan, right=np.nan)

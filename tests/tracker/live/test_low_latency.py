@@ -1,4 +1,4 @@
-"""Live measuring: the newest frame wins, whatever the detector takes; values mean what a table's rows mean."""
+"""Low-latency mode: only the newest frame is measured, however slow the detector; values equal a table's rows."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ class Scripted:
     def arrivals(self, begin: threading.Event, stop: threading.Event) -> Iterator[Arrival]:
         begin.wait()
         for index, image in enumerate(self._script(stop)):
-            picture = None if image is None else av.VideoFrame.from_ndarray(image)
-            yield Arrival(Frame(index, index / 60, picture, Orientation()), time.perf_counter())
+            frame = None if image is None else av.VideoFrame.from_ndarray(image)
+            yield Arrival(Frame(index, index / 60, frame, Orientation()), time.perf_counter())
 
 
 class Watched:
@@ -79,7 +79,7 @@ def number_of(value: LiveValue) -> int:
     return round(value.angle_deg / 10)
 
 
-# --- the newest wins
+# --- dropped frames
 
 
 def test_while_the_detector_works_only_the_newest_frame_is_kept(film):
@@ -262,7 +262,7 @@ def test_what_came_before_a_failure_is_measured_first(film):
         next(values)
 
 
-# --- what is told of it
+# --- output
 
 
 def value_of(**changes: Any) -> LiveValue:
@@ -359,14 +359,14 @@ def test_a_recording_has_a_row_for_every_frame(film, tmp_path):
     frames = [value.frame for value in values]
     assert len(read) == frames[-1] + 1
     np.testing.assert_allclose(read.time_s, np.arange(len(read)) / 60)
-    passed_over = np.setdiff1d(np.arange(len(read)), frames)
-    assert len(passed_over) >= 1
-    assert set(read.flag[passed_over]) == {"passed_over"}
-    assert np.isnan(read.angle_deg[passed_over]).all()
-    assert np.isnan(read.xy[passed_over]).all()
+    dropped = np.setdiff1d(np.arange(len(read)), frames)
+    assert len(dropped) >= 1
+    assert set(read.flag[dropped]) == {"passed_over"}
+    assert np.isnan(read.angle_deg[dropped]).all()
+    assert np.isnan(read.xy[dropped]).all()
     for value in values:
         np.testing.assert_array_equal(read.angle_deg[value.frame], value.angle_deg)
         np.testing.assert_array_equal(read.covariance[value.frame], value.found.covariance[0])
         assert read.flag[value.frame] == value.flag
-    assert read.provenance["video"]["frames_passed_over"] == len(passed_over)
+    assert read.provenance["video"]["frames_passed_over"] == len(dropped)
     assert read.provenance["warnings"] == ["a word"]
