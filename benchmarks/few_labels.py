@@ -132,10 +132,10 @@ NOTHING = Result(float("nan"), 0.0, float("nan"), 0.0, 0.0)
 
 
 def judged(
-    film: Film, detector: NetworkDetector, labelled: Sequence[int] = (), steady: bool = False
+    film: Film, detector: NetworkDetector, labelled: Sequence[int] = (), check_jumps: bool = False
 ) -> Result:
     """Track a film and compare with its truth."""
-    table = track(film.path, detector, DEFINITION, steady=steady)
+    table = track(film.path, detector, DEFINITION, check_jumps=check_jumps)
     rest = film.seen.copy()
     rest[list(labelled)] = False
     error = (table.angle_deg - film.angle_deg)[rest]
@@ -155,7 +155,7 @@ def judged_unlabelled(film: Film, network: Path) -> Result:
     except VideoError as error:
         print(f"    {error}")
         return NOTHING
-    got = judged(film, detector, steady=True)
+    got = judged(film, detector, check_jumps=True)
     return replace(got, rmse_deg=got.sound_deg, found=got.sound)
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..tracker.read_ahead import read_ahead
+from ..tracker.prefetch import read_ahead
 from ..tracker.video import Video
 from .frame_descriptors import DescriptorExtractor, FrameDescriptor
 from .pressure_signal import PressureSignal

@@ -272,7 +272,7 @@ class NetworkDetector:
         """Chunks of a video at once: the network is small, so each takes one core."""
         return self._workers
 
-    def stretch_frames(self, size_wh: tuple[int, int], frames: int | None) -> int:
+    def chunk_frames(self, size_wh: tuple[int, int], frames: int | None) -> int:
         """Frames of a chunk that is tracked from one search, few enough that several chunks fit into memory."""
         if not self._tracks:
             return self.batch_size
@@ -303,7 +303,7 @@ class TrackingDetector:
         self.keypoints = own.keypoints
         self.provenance = own.provenance
         self.detect = tracker.detect
-        self.pass_over = tracker.pass_over
+        self.skip_frames = tracker.skip_frames
 
 
 def cores() -> int:

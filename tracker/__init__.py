@@ -1,6 +1,6 @@
 """The instrument: video, geometry, angle, tracking, results, drawing, the study, synthetic renderer. Never loads torch.
 
-The names in `__all__` are what other programs may build on. Each is loaded when it is first asked for, so that
+The names in `__all__` are what other programs may build on. Each is loaded at first access, so that
 importing the package costs nothing.
 """
 

@@ -47,9 +47,12 @@ class AngleDefinition:
 
     Attributes
     ----------
-    name : one of `DEFINITIONS`
-    points : keypoint names, base to tip
-    sign : +1 or -1, multiplies the angle (+1: positive is clockwise on the screen, see the glossary above)
+    name : str
+        One of `DEFINITIONS`.
+    points : tuple of str
+        Keypoint names, base to tip.
+    sign : int
+        +1 or -1, multiplies the angle (+1: positive is clockwise on the screen, see the glossary above).
 
     Raises
     ------
@@ -87,6 +90,18 @@ def default_points(definition_name: str, keypoints: Sequence[str]) -> tuple[str,
     `two-vector` and `arc-fit` take all keypoints, `three-point` the first, the middle (of an even number
     the one nearer the base) and the last, `chord` the first two and the last.
 
+    Parameters
+    ----------
+    definition_name : str
+        One of `DEFINITIONS`.
+    keypoints : sequence of str
+        All keypoint names of the project, base to tip.
+
+    Returns
+    -------
+    tuple of str
+        Names of the chain's points, base to tip.
+
     Raises
     ------
     AngleError
@@ -121,16 +136,23 @@ def bending_angle(
 
     Parameters
     ----------
-    xy : (T, K, 2) px, NaN where unknown
-    keypoints : K names, in the order of `xy`
-    definition : which angle, of which points, with which sign
-    covariance : (T, K, 2, 2) px^2 of the positions (errors of different points are taken as independent)
+    xy : ndarray of float
+        (T, K, 2) px, NaN where unknown.
+    keypoints : sequence of str
+        K names, in the order of `xy`.
+    definition : AngleDefinition
+        Which angle, of which points, with which sign.
+    covariance : ndarray of float or None, optional
+        (T, K, 2, 2) px^2 of the positions (errors of different points are taken as independent).
 
     Returns
     -------
-    angle_deg : (T,) degrees; NaN where a point of the chain is NaN or neighbours coincide
-    angle_sd_deg : (T,) degrees; NaN where the angle or a covariance is NaN, or `covariance` is None
-    coincident : (T,) bool; two neighbours of the chain lie closer than `COINCIDENT_PX`
+    angle_deg : ndarray of float
+        (T,) degrees; NaN where a point of the chain is NaN or neighbours coincide.
+    angle_sd_deg : ndarray of float
+        (T,) degrees; NaN where the angle or a covariance is NaN, or `covariance` is None.
+    coincident : ndarray of bool
+        (T,) two neighbours of the chain lie closer than `COINCIDENT_PX`.
 
     Raises
     ------
@@ -171,12 +193,17 @@ def sign_from_labels(xy: FloatArray, keypoints: Sequence[str], definition: Angle
 
     Parameters
     ----------
-    xy : (N, K, 2) px
-    keypoints, definition : as in `bending_angle`; the definition's own sign is ignored
+    xy : ndarray of float
+        (N, K, 2) px.
+    keypoints : sequence of str
+        K names, in the order of `xy`.
+    definition : AngleDefinition
+        Which angle, of which points; its own sign is ignored.
 
     Returns
     -------
-    +1 or -1, to be used as `AngleDefinition.sign` (+1 when everything is exactly straight)
+    int
+        +1 or -1, to be used as `AngleDefinition.sign` (+1 when everything is exactly straight).
 
     Raises
     ------
@@ -199,7 +226,21 @@ def end_vector_px(xy: FloatArray, keypoints: Sequence[str], definition: AngleDef
     """Length of the shorter of the two end vectors of the chain, each as its median over the frames, in px.
 
     The longer it is, the less an error of a point turns it. For `chord` the second vector is the chord.
-    NaN when no frame has the points of one of them.
+    NaN where no frame has the points of one of the two vectors.
+
+    Parameters
+    ----------
+    xy : ndarray of float
+        (T, K, 2) px, NaN where unknown.
+    keypoints : sequence of str
+        K names, in the order of `xy`.
+    definition : AngleDefinition
+        Which angle, of which points.
+
+    Returns
+    -------
+    float
+        Length, px.
     """
     points = _chain(xy, keypoints, definition)
     last_start = 1 if definition.name == "chord" else -2
@@ -216,6 +257,20 @@ def label_noise_floor_deg(sigma_px: float, n_labels: int, end_vector_px: float) 
 
     Averaged over the labels a point is off by sigma / sqrt(n) across its vector of length L; its two points
     turn a vector by sqrt(2) sigma / (sqrt(n) L), and two such vectors turn the angle by the figure above.
+
+    Parameters
+    ----------
+    sigma_px : float
+        Standard deviation of one label's position, px.
+    n_labels : int
+        Number of labelled frames.
+    end_vector_px : float
+        Length of an end vector, px (see `end_vector_px`).
+
+    Returns
+    -------
+    float
+        Standard deviation of the angle, degrees; NaN without labels or for a length that is not positive.
 
     Examples
     --------

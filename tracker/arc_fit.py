@@ -31,13 +31,16 @@ def arc_angle(points: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     Parameters
     ----------
-    points : (T, k, 2) px, k >= 3, finite, neighbours distinct, in order along an arc of less than 360
-        degrees, with less than 270 between neighbours
+    points : ndarray of float
+        (T, k, 2) px, k >= 3, finite, neighbours distinct, in order along an arc of less than 360
+        degrees, with less than 270 between neighbours.
 
     Returns
     -------
-    angle : (T,) rad, may exceed pi
-    gradient : (T, k, 2) rad/px, the Gauss-Newton derivative of the angle by every coordinate
+    angle : ndarray of float
+        (T,) rad, may exceed pi.
+    gradient : ndarray of float
+        (T, k, 2) rad/px, the Gauss-Newton derivative of the angle by every coordinate.
     """
     if not len(points):
         return np.empty(0), np.empty(points.shape)

@@ -1,6 +1,6 @@
 """Writing a file so that it is whole or not there: temporary file, fsync, rename.
 
-Every file that bendtrack writes goes through here. What is in the file is the caller's business.
+Every file that bendtrack writes goes through here. What a file contains is up to the caller.
 """
 
 from __future__ import annotations
@@ -26,15 +26,20 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     choose their format by it). When the block ends well, the file and then its folder are flushed to disk
     around the rename, so a crash or a full disk leaves the old file or the new one. If the block raises, the
     temporary file is removed and `path` stays as it was. A process killed on the spot may leave the temporary
-    file behind; whoever lists a folder skips names that begin with a dot, and `remove_leftovers` tells it from
-    a file that is being written by the lock that is held on that.
+    file behind; code that lists a folder skips names that begin with a dot. A file that is being
+    written is locked, so `remove_leftovers` keeps it.
 
     A symbolic link is followed: its target is replaced, the link stays.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file to write or replace.
 
     Raises
     ------
     OSError
-        As it came (missing or read-only folder, full disk).
+        The file cannot be written (missing or read-only folder, full disk).
     """
     target = Path(os.path.realpath(path))
     temporary, lock = _new_file(target)
@@ -55,7 +60,14 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
 def remove_leftovers(folder: str | Path, stem: str | None = None) -> None:
     """Remove temporary files that killed writers left, of all files of a folder or of those with one stem.
 
-    What another process is writing stays, and so does what cannot be known to be a leftover.
+    Files that another process is writing stay, and so do files that may not be leftovers.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Folder to clean.
+    stem : str or None, optional
+        Only temporary files of files with this stem; None for all.
     """
     name = "*" if stem is None else glob.escape(stem[:40])
     for leftover in Path(folder).glob(f".{name}.{'[0-9a-f]' * 12}.tmp*"):
@@ -69,7 +81,7 @@ def remove_leftovers(folder: str | Path, stem: str | None = None) -> None:
 
 
 def _new_file(target: Path) -> tuple[Path, int | None]:
-    """An empty temporary file for `target`, and the descriptor that holds the lock on it."""
+    """An empty temporary file for `target`, and the descriptor that holds its lock."""
     while True:
         # The stem is cut so that the name stays under the usual 255 bytes.
         path = target.with_name(f".{target.stem[:40]}.{secrets.token_hex(6)}.tmp{target.suffix}")
@@ -91,7 +103,7 @@ def _new_file(target: Path) -> tuple[Path, int | None]:
 
 
 def _locked(path: Path) -> int:
-    """Open a file and lock it until the descriptor is closed or the process ends; OSError if another holds it."""
+    """Open a file and lock it until the descriptor is closed or the process ends; OSError if it is already locked."""
     descriptor = os.open(path, os.O_RDWR)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -102,13 +114,39 @@ def _locked(path: Path) -> int:
 
 
 def atomic_write_text(path: str | Path, text: str) -> None:
-    """Write `text` as UTF-8 with its newlines as they are, whole or not at all (see `atomic_path`)."""
+    """Write `text` as UTF-8 with its newlines as they are, whole or not at all (see `atomic_path`).
+
+    Parameters
+    ----------
+    path : str or Path
+        The file to write or replace.
+    text : str
+        Contents; newlines are not converted.
+
+    Raises
+    ------
+    OSError
+        As in `atomic_path`.
+    """
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="")
 
 
 def atomic_write_bytes(path: str | Path, data: bytes) -> None:
-    """Write `data`, whole or not at all (see `atomic_path`)."""
+    """Write `data`, whole or not at all (see `atomic_path`).
+
+    Parameters
+    ----------
+    path : str or Path
+        The file to write or replace.
+    data : bytes
+        Contents.
+
+    Raises
+    ------
+    OSError
+        As in `atomic_path`.
+    """
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)
 

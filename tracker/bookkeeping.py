@@ -1,4 +1,4 @@
-"""Whose results files are, and whether they are up to date: by recorded hashes, never by mere existence."""
+"""Which video a results file belongs to, and whether it is up to date: by recorded hashes, never by existence alone."""
 
 from __future__ import annotations
 
@@ -24,12 +24,26 @@ def is_up_to_date(
 ) -> bool:
     """Whether tracking this video with this detector and these settings again would change nothing.
 
-    So it is when the JSON records the same three, and the CSV and the HDF5 are there with the hashes it
-    records.
+    True when the JSON records the same video, detector and settings, and the CSV and the HDF5 have the hashes
+    recorded there.
 
     Parameters
     ----------
-    settings : as `tracking.tracking_settings` gives them; None where they follow from video and detector
+    out_dir : str or Path
+        Folder of the results.
+    stem : str
+        Name of the results files, without suffix.
+    video_sha256 : str
+        SHA-256 of the video.
+    detector_provenance : mapping of str to Any
+        `Detector.provenance` of the detector.
+    settings : mapping of str to Any or None
+        Settings from `tracking.tracking_settings`; None where they follow from video and detector.
+
+    Returns
+    -------
+    bool
+        Whether the results are up to date.
     """
     folder = Path(out_dir)
     try:
@@ -53,12 +67,14 @@ def is_up_to_date(
 
 
 class StemChoice(NamedTuple):
-    """Under which name a video's results go.
+    """The file name under which a video's results are written.
 
     Attributes
     ----------
-    stem : name of the files, without suffix
-    note : one line for the user when it is not simply the video's own stem, else None
+    stem : str
+        Name of the results files, without suffix.
+    note : str or None
+        One line for the user where the name differs from the video's own stem, else None.
     """
 
     stem: str
@@ -68,8 +84,22 @@ class StemChoice(NamedTuple):
 def choose_stem(out_dir: str | Path, video: str | Path, video_sha256: str) -> StemChoice:
     """The name for a video's results, so that two videos with one stem never overwrite each other's.
 
-    A video is known by its content. Where the files under its stem belong to other content, or to nobody
-    knows whom, the first digits of the video's own hash are added: the same name every time.
+    A video is identified by its content (SHA-256). Where the files under its stem belong to another or an unknown
+    video, the first digits of the video's own hash are appended: the same name every time.
+
+    Parameters
+    ----------
+    out_dir : str or Path
+        Folder of the results.
+    video : str or Path
+        The video file.
+    video_sha256 : str
+        SHA-256 of the video.
+
+    Returns
+    -------
+    StemChoice
+        The name, and a note where it is not the video's own stem.
     """
     own = video_stem(video)
     folder = Path(out_dir)
@@ -104,9 +134,25 @@ def _video_of(record: Any) -> str | None:
 
 
 def record_file(out_dir: str | Path, stem: str, path: Path) -> None:
-    """Enter a picture or an overlay made from a table into its JSON, by hash.
+    """Record the hash of a figure or an overlay, made from a table, in the table's JSON.
 
-    A table that is written again has a JSON without it, so that what was made from the old one is known to be.
+    A table that is written again gets a new JSON without this hash, so files made from the old table are detected.
+
+    Parameters
+    ----------
+    out_dir : str or Path
+        Folder of the results.
+    stem : str
+        Name of the results files, without suffix.
+    path : Path
+        The figure or overlay.
+
+    Raises
+    ------
+    ResultsError
+        The JSON record cannot be read.
+    OSError
+        A file cannot be read or written.
     """
     json_path = Path(out_dir) / f"{stem}.json"
     record = read_record(json_path)
@@ -115,7 +161,22 @@ def record_file(out_dir: str | Path, stem: str, path: Path) -> None:
 
 
 def is_recorded(out_dir: str | Path, stem: str, path: Path) -> bool:
-    """Whether a picture or an overlay was made from the table as it is now (see `record_file`)."""
+    """Whether a figure or an overlay was made from the current table (see `record_file`).
+
+    Parameters
+    ----------
+    out_dir : str or Path
+        Folder of the results.
+    stem : str
+        Name of the results files, without suffix.
+    path : Path
+        The figure or overlay.
+
+    Returns
+    -------
+    bool
+        Whether its hash is the recorded one.
+    """
     try:
         files = read_record(Path(out_dir) / f"{stem}.json").get("files", {})
         return bool(files.get(path.suffix[1:]) == file_sha256(path))

@@ -1,6 +1,6 @@
-"""Opening a video file and reading what its container says of it: stream, claims, orientation.
+"""Opening a video file and reading its container's metadata: stream, frame count, orientation.
 
-What it says is hearsay until the frames have been decoded (`decoding.py`).
+These values are claims: only decoding (`decoding.py`) shows whether they hold.
 """
 
 from __future__ import annotations
@@ -20,20 +20,39 @@ from av.stream import Disposition
 from .errors import VideoError, reason
 from .types import ImageArray
 
-# Pictures and text, which FFmpeg would open as a "video" of one frame.
+# Images and text, which FFmpeg would open as a "video" of one frame.
 _NOT_VIDEO_FORMATS = ("_pipe", "image2", "tty")
 
 
 @dataclass(frozen=True)
 class Orientation:
-    """How a decoded picture is turned to be shown: transposed first, then flipped."""
+    """How a decoded frame is turned for display: transposed first, then flipped.
+
+    Attributes
+    ----------
+    transpose : bool
+        Whether rows and columns are exchanged, before any flip.
+    flip_x, flip_y : bool
+        Whether the image is then mirrored along x, along y.
+    """
 
     transpose: bool = False
     flip_x: bool = False
     flip_y: bool = False
 
     def apply(self, image: ImageArray) -> ImageArray:
-        """Turn (H, W, 3) as decoded into the picture as displayed, contiguous."""
+        """Turn an image (H, W, 3) as decoded into the image as displayed, contiguous.
+
+        Parameters
+        ----------
+        image : ndarray of uint8
+            (H, W, 3) as decoded.
+
+        Returns
+        -------
+        ndarray of uint8
+            (H, W, 3) as displayed; H and W are exchanged by a transposition.
+        """
         if self.transpose:
             image = image.swapaxes(0, 1)
         return np.ascontiguousarray(image[:: -1 if self.flip_y else 1, :: -1 if self.flip_x else 1])
@@ -41,7 +60,14 @@ class Orientation:
 
 @contextmanager
 def open_video(path: Path, threads: int) -> Iterator[tuple[InputContainer, av.VideoStream]]:
-    """Open a file and its first video stream that is not a cover picture, ready to decode.
+    """Open a file and its first video stream that is not a cover image, ready to decode.
+
+    Parameters
+    ----------
+    path : Path
+        The video file.
+    threads : int
+        Number of decoding threads.
 
     Raises
     ------
@@ -84,7 +110,7 @@ def _open(path: Path) -> InputContainer:
     name = container.format.name
     if any(word in name for word in _NOT_VIDEO_FORMATS):
         container.close()
-        raise VideoError(f"{path}: expected a video, got a picture or text (FFmpeg takes it for {name})")
+        raise VideoError(f"{path}: expected a video, got an image or text (FFmpeg takes it for {name})")
     return container
 
 
@@ -98,13 +124,27 @@ def _video_stream(container: InputContainer, path: Path) -> av.VideoStream:
     raise VideoError(f"{path}: expected a video stream, found only {kinds}")
 
 
-def first_picture(container: InputContainer, stream: av.VideoStream, path: Path) -> av.VideoFrame:
-    """The first sound picture, for size and orientation.
+def first_frame(container: InputContainer, stream: av.VideoStream, path: Path) -> av.VideoFrame:
+    """The first frame decoded without error, for size and orientation.
+
+    Parameters
+    ----------
+    container : InputContainer
+        The open file.
+    stream : VideoStream
+        Its video stream.
+    path : Path
+        Path of the file, for messages.
+
+    Returns
+    -------
+    VideoFrame
+        The frame.
 
     Raises
     ------
     VideoError
-        There is none in the whole file.
+        The file holds no such frame.
     """
     packets = container.demux(stream)
     packet: av.Packet | None
@@ -116,29 +156,39 @@ def first_picture(container: InputContainer, stream: av.VideoStream, path: Path)
         if packet is not None and packet.size == 0:
             continue
         try:
-            pictures = stream.codec_context.decode(packet)
+            decoded = stream.codec_context.decode(packet)
         except av.FFmpegError:
-            pictures = []
-        for picture in pictures:
-            if not picture.is_corrupt:
-                return picture
+            decoded = []
+        for frame in decoded:
+            if not frame.is_corrupt:
+                return frame
         if packet is None:
             raise VideoError(f"{path}: holds no frame that can be decoded ({stream.codec_context.name})")
 
 
-def orientation(picture: av.VideoFrame) -> tuple[Orientation, int, str | None]:
-    """How a picture is to be turned, by the display matrix that the container gave it.
+def orientation(frame: av.VideoFrame) -> tuple[Orientation, int, str | None]:
+    """Orientation of a decoded frame, from the container's display matrix.
 
     The matrix takes a decoded (x, y) to the displayed (a x + c y, b x + d y). Only quarter turns and
     mirrors are applied, which keep pixels whole.
 
+    Parameters
+    ----------
+    frame : VideoFrame
+        A decoded frame, with its side data.
+
     Returns
     -------
-    orientation, the counterclockwise turn in degrees, a warning or None
+    orientation : Orientation
+        How the frame is turned.
+    rotation_deg : int
+        The counterclockwise turn that the file asks for, degrees.
+    warning : str or None
+        A line where that turn is not applied.
     """
-    if SideDataType.DISPLAYMATRIX not in picture.side_data:
+    if SideDataType.DISPLAYMATRIX not in frame.side_data:
         return Orientation(), 0, None
-    matrix = picture.side_data[SideDataType.DISPLAYMATRIX]  # type: ignore[typeddict-item] # PyAV's stub errs
+    matrix = frame.side_data[SideDataType.DISPLAYMATRIX]  # type: ignore[typeddict-item] # PyAV's stub errs
     a, b, _, c, d = np.frombuffer(bytes(matrix), np.int32)[:5] / 65536
     turn = round(math.degrees(math.atan2(-b, a)))
     if max(abs(b), abs(c)) < 1e-3 * max(abs(a), abs(d)):
@@ -149,7 +199,18 @@ def orientation(picture: av.VideoFrame) -> tuple[Orientation, int, str | None]:
 
 
 def claimed_frames(stream: av.VideoStream) -> int | None:
-    """The container's word: its own counter, or the tag that some Matroska writers leave; None without."""
+    """Frame count claimed by the container: its own counter, or a tag of some Matroska writers; None without either.
+
+    Parameters
+    ----------
+    stream : VideoStream
+        The video stream.
+
+    Returns
+    -------
+    int or None
+        The number of frames.
+    """
     if stream.frames:
         return int(stream.frames)
     for tag, value in stream.metadata.items():
@@ -159,7 +220,20 @@ def claimed_frames(stream: av.VideoStream) -> int | None:
 
 
 def claimed_duration_s(container: InputContainer, stream: av.VideoStream) -> float | None:
-    """Length of the video stream in s according to the container, None where it does not say."""
+    """Length of the video stream in s according to the container, None where it does not say.
+
+    Parameters
+    ----------
+    container : InputContainer
+        The open file.
+    stream : VideoStream
+        Its video stream.
+
+    Returns
+    -------
+    float or None
+        Seconds.
+    """
     if stream.duration is not None and stream.time_base:
         return float(stream.duration * stream.time_base)
     for tag, value in stream.metadata.items():  # Matroska: 00:00:04.000000000

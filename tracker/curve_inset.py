@@ -1,4 +1,4 @@
-"""The small chart in a corner of the overlay: the whole curve faint, the curve so far bright."""
+"""The small chart in a corner of the overlay: the whole curve in grey, the part up to the current frame in yellow."""
 
 from __future__ import annotations
 
@@ -13,14 +13,18 @@ _PANEL_STRENGTH = 0.62
 
 
 class CurveInset:
-    """Angle over time in a corner that the actuator visits least.
+    """Angle over time, in the corner of the frame with the fewest keypoints.
 
     Parameters
     ----------
-    time_s, angle_deg : (T,), the whole video's
-    xy : (T, K, 2) px, to keep out of the way of
-    size_wh : of the frame, px
-    scale : 1 for a 640 x 480 frame
+    time_s, angle_deg : ndarray of float
+        (T,) times in s and angles in degrees of the whole video.
+    xy : ndarray of float
+        (T, K, 2) px keypoints, which the chart must not cover.
+    size_wh : tuple of (int, int)
+        Width and height of the frame, px.
+    scale : float
+        Scale of marks and letters; 1 for a 640 x 480 frame.
     """
 
     def __init__(
@@ -37,7 +41,7 @@ class CurveInset:
         width = min(round(0.36 * size_wh[0]), size_wh[0] - 2 * margin)
         height = min(round(0.25 * size_wh[1]), round(0.8 * width))
         self._wh = (width, height)
-        self._left, self._top = _quietest_corner(xy, size_wh, (width, height), margin)
+        self._left, self._top = _emptiest_corner(xy, size_wh, (width, height), margin)
         self.box = (self._left, self._top, self._left + width, self._top + height)
 
         low, high, ticks = _round_range(angle_deg)
@@ -48,7 +52,7 @@ class CurveInset:
         x0 = pad + max(drawing.text_size(label, letter)[0] for label in labels)
         x1 = width - pad - round(2 * scale)
         y0, y1 = pad + letter_h // 2, height - pad - letter_h
-        # On a frame this small nobody could read it.
+        # Not drawn on frames too small to read it.
         self._shown = y1 - y0 >= 2 * letter_h and x1 - x0 >= 3 * letter_h
         if not self._shown:
             self.box = (0, 0, 0, 0)
@@ -72,13 +76,21 @@ class CurveInset:
             drawing.text(self._marks[..., None], label, at, letter, (225,), anchor=(lean, 0), halo=False)
         for t in range(len(time_s)):
             self._step(self._marks, t, 120, 1.0 * scale)
-        # The panel's pixels become (pixel * keep + add) / 256, which is all there is to do for most frames.
+        # The panel's pixels become (pixel * keep + add) / 256, the only operation on most frames.
         self._keep = np.zeros((height, width, 1), np.uint16)
         self._add = np.zeros((height, width, 3), np.uint16)
         self._mix(0, width)
 
     def draw(self, image: ImageArray, index: int) -> None:
-        """Draw the chart as of frame `index`; call for 0, 1, 2, ... in order."""
+        """Draw the chart as of frame `index`; call for 0, 1, 2, ... in order.
+
+        Parameters
+        ----------
+        image : ndarray of uint8
+            RGB uint8 (H, W, 3), drawn on in place.
+        index : int
+            Index of the frame.
+        """
         if not self._shown:
             return
         if self._step(self._bright, index, 255, 2.0 * self._scale):
@@ -92,7 +104,7 @@ class CurveInset:
             drawing.disc(image, here, 3.0 * self._scale, YELLOW)
 
     def _mix(self, left: int, right: int) -> None:
-        """Bring `_keep` and `_add` up to date in some columns: panel, over it white marks, over it the curve."""
+        """Update `_keep` and `_add` in some columns: panel below, white marks over it, the curve on top."""
         columns = np.s_[:, max(left, 0) : right]
         keep = 1 - _PANEL_STRENGTH / 255 * self._corners[columns][..., None].astype(np.float32)
         add = (1 - keep) * np.array(DARK)
@@ -111,7 +123,7 @@ class CurveInset:
         return True
 
 
-def _quietest_corner(
+def _emptiest_corner(
     xy: FloatArray, size_wh: tuple[int, int], inset_wh: tuple[int, int], margin: int
 ) -> tuple[int, int]:
     """Left and top of the corner with the fewest keypoints over the video; bottom right if they tie."""
@@ -120,13 +132,13 @@ def _quietest_corner(
         (width - w - margin, height - h - margin),
         (margin, height - h - margin),
         (width - w - margin, margin),
-    ]  # the left top is the readout's
+    ]  # the top left holds the readout
 
-    def visits(corner: tuple[int, int]) -> int:
+    def count(corner: tuple[int, int]) -> int:
         inside = (xy > np.array(corner) - margin) & (xy < np.array(corner) + inset_wh + margin)
         return int(inside.all(axis=-1).sum())
 
-    return min(corners, key=visits)
+    return min(corners, key=count)
 
 
 def _round_range(angle_deg: FloatArray) -> tuple[float, float, list[float]]:
@@ -141,7 +153,7 @@ def _round_range(angle_deg: FloatArray) -> tuple[float, float, list[float]]:
 
 
 def _rounded(mask: ImageArray, radius: int) -> None:
-    """Fill a mask (h, w) but for round corners."""
+    """Fill a mask (h, w) except for its rounded corners."""
     height, width = mask.shape
     cv2.rectangle(mask, (radius, 0), (width - 1 - radius, height - 1), 255, -1)
     cv2.rectangle(mask, (0, radius), (width - 1, height - 1 - radius), 255, -1)

@@ -33,7 +33,17 @@ _MAX_PENDING = 256
 
 @dataclass(frozen=True)
 class Row:
-    """A frame at its place; `stamp` in units of the stream's time base, None where the file has no times."""
+    """A frame at its place; `stamp` in units of the stream's time base, None where the file has no times.
+
+    Attributes
+    ----------
+    stamp : int or None
+        Presentation time in units of the stream's time base, None where the file has no times.
+    picture : VideoFrame or None
+        The decoded frame, None if it could not be decoded.
+    damaged : bool
+        Decoded without error, but from a frame that could not be decoded.
+    """
 
     stamp: int | None
     picture: av.VideoFrame | None
@@ -53,8 +63,10 @@ class Decoding:
 
     Attributes
     ----------
-    n_hidden : packets so far that are not to be shown
-    problems : why frames are missing, a line each; complete once `rows` is exhausted
+    n_hidden : int
+        Packets so far that are not to be shown.
+    problems : list of str
+        Why frames are missing, a line each; complete once `rows` is exhausted.
     """
 
     def __init__(

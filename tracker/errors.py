@@ -1,4 +1,4 @@
-"""Everything that can go wrong because of an input, by what it is about.
+"""Errors caused by an input, one class for each kind of input.
 
 A message is one line that says what was expected and what came; the command line prints it
 and exits with `exit_status`. Bugs are ordinary exceptions and keep their traceback.
@@ -6,7 +6,7 @@ and exits with `exit_status`. Bugs are ordinary exceptions and keep their traceb
 
 
 class BendtrackError(Exception):
-    """An input that cannot be used. Base of every error that is the user's to mend."""
+    """An input that cannot be used. Base class of every error that the user can correct."""
 
     exit_status = 2
 
@@ -52,9 +52,20 @@ class StudyError(BendtrackError):
 
 
 class BendtrackWarning(UserWarning):
-    """Something was worked around; the results say where."""
+    """A problem was worked around; the results record where."""
 
 
 def reason(error: Exception) -> str:
-    """Why the system, or a library that it stands behind, refused: in a few words, to stand in brackets."""
+    """Short reason of an operating-system or library error, to be quoted in brackets in a message.
+
+    Parameters
+    ----------
+    error : Exception
+        The error that was caught.
+
+    Returns
+    -------
+    str
+        A few words.
+    """
     return getattr(error, "strerror", None) or str(error) or type(error).__name__

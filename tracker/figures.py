@@ -1,4 +1,4 @@
-"""The figure beside each angle table: angle over time, its uncertainty, and the rows to be doubted."""
+"""The figure of an angle table: angle over time, its uncertainty, and flagged rows."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from .errors import ResultsError, reason
 from .results import AngleTable
 from .types import Flag, FloatArray
 
-# Okabe and Ito's palette: told apart with any colour vision.
+# Okabe and Ito's palette: distinguishable with any colour vision.
 _CURVE = "#0072B2"
 _LONGEST_NAME = 64
-_DRAWING = Lock()  # one at a time, for all are drawn on one sheet
-_MARKS = {  # flag: colour, marker, words of the legend
+_DRAWING = Lock()  # one at a time: all tables are drawn on one reused figure
+_MARKS = {  # flag: colour, marker, legend text
     Flag.LOW_LIKELIHOOD: ("#E69F00", "o", "low likelihood"),
     Flag.JUMP: ("#F0E442", "v", "jump"),
     Flag.DAMAGED: ("#CC79A7", "s", "damaged frame"),
     Flag.OUT_OF_FRAME: ("#009E73", "^", "out of frame, no angle"),
     Flag.COINCIDENT_POINTS: ("#56B4E9", "D", "coincident points, no angle"),
-    Flag.PASSED_OVER: ("0.6", "|", "passed over, no angle"),
+    Flag.PASSED_OVER: ("0.6", "|", "dropped, no angle"),
     Flag.UNDECODABLE: ("#D55E00", "|", "undecodable, no angle"),
 }
 
@@ -38,6 +38,13 @@ def write_angle_figure(table: AngleTable, out_path: str | Path) -> None:
     """Write angle over time as a PNG (1440 x 720 px): curve, band of 2 sd, flagged rows marked by kind.
 
     Where the angle is unknown the curve has a gap and the row's mark stands on the time axis.
+
+    Parameters
+    ----------
+    table : AngleTable
+        The table to draw.
+    out_path : str or Path
+        The PNG to write or replace.
 
     Raises
     ------
@@ -52,11 +59,11 @@ def write_angle_figure(table: AngleTable, out_path: str | Path) -> None:
 
 @cache
 def _sheet() -> tuple[Figure, Axes]:
-    """The figure that all tables are drawn into, one after the other: its axes and their ticks take long to make."""
+    """The figure that all tables are drawn into, one after the other: axes and ticks are slow to create."""
     # The object interface: no window, no state that a user's own pyplot session would see.
     figure = Figure(figsize=(9, 4.5), dpi=160)
     FigureCanvasAgg(figure)
-    # Room for the longest words there are: a layout found anew for each figure takes longer than tracking a short clip.
+    # Room for the longest labels: solving a layout for each figure takes longer than tracking a short clip.
     axes = figure.add_axes((0.092, 0.225, 0.88, 0.705))
     axes.set_xlabel("time (s)")
     axes.grid(axis="y", color="0.92", linewidth=0.8, zorder=0)
@@ -71,7 +78,7 @@ def _empty() -> tuple[Figure, Axes]:
     for drawn in (*axes.lines, *axes.collections, *figure.legends):
         drawn.remove()
     axes.dataLim.set_points(Bbox.null().get_points())
-    axes.set_xlim(0, 1)  # which stays where there is nothing to draw
+    axes.set_xlim(0, 1)  # stays in force where there is nothing to draw
     axes.autoscale()
     return figure, axes
 
@@ -94,8 +101,7 @@ def _draw(figure: Figure, axes: Axes, table: AngleTable) -> None:
     name = table.provenance.get("video", {}).get("name", "")
     if len(name) > _LONGEST_NAME:
         name = f"{name[: _LONGEST_NAME - 21]}…{name[-20:]}"
-    # "$" would begin mathematics.
-    # Titles at a height of their own: to find one, matplotlib lays all the axes out once more.
+    # "$" would begin mathematics. A fixed title height (y=1.0) saves matplotlib a second layout of the axes.
     axes.set_title(name.replace("$", r"\$"), loc="left", fontsize=11, y=1.0)
     n_flagged = int(np.sum(table.flag != ""))
     axes.set_title(f"{len(table)} frames, {n_flagged} flagged", loc="right", fontsize=9, color="0.35", y=1.0)
@@ -116,7 +122,7 @@ def _save(figure: Figure, out_path: str | Path) -> None:
 
 
 def _limit_angles(axes: Axes, table: AngleTable) -> None:
-    """Let the angles and most of the band set the axis: a row that is hardly known has a band of any height."""
+    """Set the axis by the angles and the typical band: the band of a very uncertain row can have any height."""
     known = np.isfinite(table.angle_deg)
     if not known.any():
         axes.set_ylim(-5.0, 95.0)
@@ -129,7 +135,7 @@ def _limit_angles(axes: Axes, table: AngleTable) -> None:
 
 
 def _with_gaps(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The series with a NaN put into each pause of the camera, which a line would otherwise bridge."""
+    """The series with a NaN inserted in each pause of the camera, which a line would otherwise bridge."""
     steps = np.diff(time_s)
     pauses = np.flatnonzero(steps > 4 * np.median(steps)) + 1 if len(steps) else np.array([], dtype=int)
     return np.insert(time_s, pauses, time_s[pauses]), np.insert(values, pauses, np.nan)
@@ -144,11 +150,11 @@ def _draw_single_rows(axes: Axes, table: AngleTable) -> None:
 
 def _mark_flagged(axes: Axes, table: AngleTable) -> None:
     for kind in dict.fromkeys(table.flag[table.flag != ""]):
-        colour, marker, words = _MARKS.get(kind, ("0.4", "x", str(kind)))
+        colour, marker, text = _MARKS.get(kind, ("0.4", "x", str(kind)))
         rows = table.flag == kind
         known = rows & np.isfinite(table.angle_deg)
         unknown = rows & ~known
-        label = f"{words} ({int(rows.sum())})"
+        label = f"{text} ({int(rows.sum())})"
         style: dict[str, Any] = {"linestyle": "none", "marker": marker, "color": colour, "zorder": 4}
         if known.any():
             axes.plot(

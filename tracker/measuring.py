@@ -1,6 +1,6 @@
-"""From what was found in frames to the rows of an angle table: the angle, its standard deviation, the flag.
+"""From detections to the rows of an angle table: the angle, its standard deviation, the flag.
 
-One meaning for videos (`tracking.py`) and live pictures (`live/newest_first.py`). The angle itself is in `angle.py`.
+Shared by videos (`tracking.py`) and live sources (`live/low_latency.py`). The angle itself is in `angle.py`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,15 @@ JUMP_FRAMES, JUMP_SD = 2, 3.0
 
 
 class AngleRows(NamedTuple):
-    """What an angle table says of T frames: (T,) degrees, degrees, values of `types.Flag`."""
+    """What an angle table says of T frames: (T,) degrees, degrees, values of `types.Flag`.
+
+    Attributes
+    ----------
+    angle_deg, angle_sd_deg : ndarray of float
+        (T,) degrees, NaN where unknown.
+    flag : NDArray[np.str_]
+        (T,) values of `types.Flag`.
+    """
 
     angle_deg: FloatArray
     angle_sd_deg: FloatArray
@@ -33,10 +41,17 @@ class AngleRows(NamedTuple):
 def check_points(keypoints: Sequence[str], definition: AngleDefinition) -> None:
     """See that a detector finds the points of an angle.
 
+    Parameters
+    ----------
+    keypoints : sequence of str
+        Names of the keypoints that the detector finds.
+    definition : AngleDefinition
+        Which angle, of which points.
+
     Raises
     ------
     AngleError
-        It does not.
+        A point of the angle is not among the keypoints.
     """
     missing = [point for point in definition.points if point not in keypoints]
     if missing:
@@ -54,19 +69,32 @@ def measure(
     decoded: np.ndarray,
     damaged: np.ndarray,
     min_likelihood: float = MIN_LIKELIHOOD,
-    steady: bool = False,
+    check_jumps: bool = False,
 ) -> AngleRows:
     """The bending angle of frames, with a flag on every row that is missing or to be doubted.
 
     Parameters
     ----------
-    found : of T frames; NaN where a frame could not be decoded
-    keypoints : the K names
-    definition : which angle, of which of them
-    size_wh : of the frames, px
-    decoded, damaged : (T,) bool, as `types.Flag` means them
-    min_likelihood : a row with a keypoint of the angle below this is flagged `low_likelihood`
-    steady : whether a row whose neighbours say another angle is flagged `jump`
+    found : Detections
+        Keypoints of T frames; NaN where a frame could not be decoded.
+    keypoints : sequence of str
+        The K names.
+    definition : AngleDefinition
+        Which angle, of which of the keypoints.
+    size_wh : tuple of (int, int)
+        Width and height of the frames, px.
+    decoded, damaged : ndarray of bool
+        (T,) whether a frame was decoded, and whether only from a damaged one (see `types.Flag`).
+    min_likelihood : float, optional
+        A row with a keypoint of the angle below this is flagged `low_likelihood`.
+    check_jumps : bool, optional
+        Whether the temporal-consistency check runs: a row whose angle differs from those of the frames around it
+        is flagged `jump`.
+
+    Returns
+    -------
+    AngleRows
+        Angle, standard deviation and flag of each frame.
     """
     angle_deg, angle_sd_deg, coincident = bending_angle(found.xy, keypoints, definition, found.covariance)
     chain = [keypoints.index(point) for point in definition.points]
@@ -75,7 +103,7 @@ def measure(
         angle_deg[lost] = angle_sd_deg[lost] = np.nan
     with np.errstate(invalid="ignore"):
         unlikely = (found.likelihood[:, chain] < min_likelihood).any(axis=1) | np.isnan(angle_deg)
-    jumped = _jumped(angle_deg, angle_sd_deg) if steady else np.zeros(len(angle_deg), bool)
+    jumped = _jumped(angle_deg, angle_sd_deg) if check_jumps else np.zeros(len(angle_deg), bool)
     flag = np.select(
         [~decoded, coincident, outside, damaged, unlikely, jumped],
         [
@@ -88,7 +116,7 @@ def measure(
 
 
 def _jumped(angle_deg: FloatArray, sd_deg: FloatArray) -> np.ndarray:
-    """Rows (T,) that their neighbours in time contradict; a motion, however fast, is not one."""
+    """Rows (T,) that differ from their neighbours in time; a continuous motion, however fast, is no jump."""
     around = np.pad(angle_deg, JUMP_FRAMES, constant_values=np.nan)
     windows = np.lib.stride_tricks.sliding_window_view(around, 2 * JUMP_FRAMES + 1)
     known = ~np.isnan(angle_deg)

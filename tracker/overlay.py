@@ -1,9 +1,9 @@
-"""The overlay video: what was measured, drawn on the frames it was measured in.
+"""The overlay video: an angle table drawn on the frames of its video.
 
-Marks and letters are in `drawing.py`, the chart in `curve_inset.py`, encoding in `video_writer.py`.
+Lines, marks and text are in `drawing.py`, the chart in `curve_inset.py`, encoding in `video_writer.py`.
 
 Colours carry one meaning each: blue the fixed end, orange the moving end, yellow the angle (arc, number,
-curve), red-orange a point or a row to be doubted.
+curve), red-orange a doubtful point or a flagged row.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .curve_inset import CurveInset
 from .drawing import DARK, ORANGE, SKY_BLUE, VERMILLION, WHITE, YELLOW
 from .errors import ResultsError
 from .measuring import MIN_LIKELIHOOD
-from .read_ahead import read_ahead
+from .prefetch import read_ahead
 from .results import AngleTable
 from .types import Flag, FloatArray, ImageArray
 from .video import Video
@@ -28,14 +28,14 @@ from .video_writer import VideoWriter
 
 _Arrow = tuple[FloatArray, FloatArray, drawing.Colour]  # from, to, colour
 
-_FLAG_WORDS = {
-    Flag.PASSED_OVER: "passed over: no angle",
+_FLAG_TEXT = {
+    Flag.PASSED_OVER: "frame dropped: no angle",
     Flag.UNDECODABLE: "frame could not be decoded",
     Flag.COINCIDENT_POINTS: "points coincide: no angle",
     Flag.OUT_OF_FRAME: "point outside the frame: no angle",
     Flag.DAMAGED: "damaged frame: values doubtful",
     Flag.LOW_LIKELIHOOD: "low likelihood",
-    Flag.JUMP: "neighbouring frames say another angle",
+    Flag.JUMP: "neighbouring frames have another angle",
 }
 
 
@@ -49,10 +49,21 @@ def write_overlay(
 
     Frames keep their times. A frame that cannot be decoded shows the one before it, darkened.
 
+    Parameters
+    ----------
+    video : str or Path
+        The video file.
+    table : AngleTable
+        The angle table of that video.
+    out_path : str or Path
+        The mp4 to write or replace.
+    progress : callable or None, optional
+        Called after each frame with the number of frames done and the number in all.
+
     Raises
     ------
     VideoError
-        The video cannot be read or the overlay not be written.
+        The video cannot be read or the overlay cannot be written.
     ResultsError
         The table has another number of rows than the video has frames, or does not say which angle it holds.
     """
@@ -73,7 +84,7 @@ def write_overlay(
 
 
 def _drawn(source: Video, overlay: Overlay, n_rows: int) -> Iterator[tuple[ImageArray, float]]:
-    """Decoded, converted and drawn here, beside encoding."""
+    """Decode, convert and draw in this thread, in parallel with encoding."""
     for frame in source:
         if frame.index >= n_rows:
             raise ResultsError(f"{source.path}: expected the {n_rows} frames of the table, got more")
@@ -85,14 +96,21 @@ class Overlay:
 
     Parameters
     ----------
-    table : whose `definition` is known
-    size_wh : of the frames, px
+    table : AngleTable
+        Rows to draw; its `definition` must be known.
+    size_wh : tuple of (int, int)
+        Width and height of the frames, px.
+
+    Raises
+    ------
+    ResultsError
+        The table does not say which angle it holds.
     """
 
     def __init__(self, table: AngleTable, size_wh: tuple[int, int]) -> None:
         if table.definition is None:
             raise ResultsError(
-                "the table does not say which angle it holds: expected the .h5, or the .json beside it"
+                "the table does not say which angle it holds: expected the .h5, or the .json next to it"
             )
         self._table, self._definition = table, table.definition
         self._size_wh = size_wh
@@ -115,7 +133,15 @@ class Overlay:
 
         Parameters
         ----------
-        image : RGB uint8 (H, W, 3), not changed; None for a frame that could not be decoded
+        image : ndarray of uint8 or None
+            RGB uint8 (H, W, 3), not changed; None for a frame that could not be decoded.
+        index : int
+            Index of the frame, and of its row in the table.
+
+        Returns
+        -------
+        ndarray of uint8
+            A new image (H, W, 3) with everything drawn on it.
         """
         if image is None:
             canvas = (0.35 * self._last).astype(np.uint8)
@@ -159,9 +185,8 @@ class Overlay:
             arrows = [(points[0], points[1], SKY_BLUE), (points[-2], points[-1], ORANGE)]
         else:
             base = float(np.arctan2(first[1], first[0]))
-            if (
-                self._definition.name == "arc-fit"
-            ):  # a circle's tangents lie half of its turn beside its chord
+            if self._definition.name == "arc-fit":
+                # A circle's tangents are turned against its chord by half of the arc's angle.
                 chord = points[-1] - points[0]
                 base = float(np.arctan2(chord[1], chord[0])) - sweep / 2
             length = float(np.linalg.norm(first))
@@ -184,24 +209,24 @@ class Overlay:
         radius = float(np.clip(0.62 * length, 32 * s, 64 * s))
         reach = radius + 0.55 * min(radius, 40 * s)
         _dashes(canvas, centre, centre + reach * forward / np.linalg.norm(forward), SKY_BLUE, s)
-        if np.linalg.norm(tip - centre) < radius:  # a short end: its direction goes on to the arc
+        if np.linalg.norm(tip - centre) < radius:  # a short end vector is extended to the arc
             _dashes(canvas, tip, centre + reach * (tip - centre) / np.linalg.norm(tip - centre), ORANGE, s)
         arc = centre + drawing.arc_points(radius, start, sweep)
         drawing.sector(canvas, centre, arc, YELLOW, 0.22)
         drawing.lines(canvas, arc, DARK, 4.6 * s)
         drawing.lines(canvas, arc, YELLOW, 2.4 * s)
 
-        words = f"{angle_deg:.1f}°".replace("-", "\N{MINUS SIGN}")
+        label = f"{angle_deg:.1f}°".replace("-", "\N{MINUS SIGN}")
         size = max(11, round(20 * s))
-        width, height = drawing.text_size(words, size, bold=True)
-        # Outside the arc; where the arc is too narrow for it, beside it, on the outside of the bend.
+        width, height = drawing.text_size(label, size, bold=True)
+        # Outside the arc; next to it, on the outside of the bend, where the arc is too narrow.
         middle, clear = start + sweep / 2, radius + 6 * s
         if abs(sweep) < np.radians(50):
             middle, clear = middle - np.copysign(np.pi / 2, sweep), 14 * s
-        x, y = self._free_place(centre, middle, clear, (width, height), points)
-        drawing.text(canvas, words, (x, y), size, YELLOW, anchor=(0.5, 0.5), bold=True)
+        x, y = self._label_position(centre, middle, clear, (width, height), points)
+        drawing.text(canvas, label, (x, y), size, YELLOW, anchor=(0.5, 0.5), bold=True)
 
-    def _free_place(
+    def _label_position(
         self,
         centre: FloatArray,
         direction_rad: float,
@@ -227,7 +252,7 @@ class Overlay:
         return float(best[0]), float(best[1])
 
     def _draw_point(self, canvas: ImageArray, index: int, k: int) -> None:
-        """A point, the fuller the likelier; around it its 2-sd ellipse where that is larger."""
+        """A point, filled by its likelihood, and its 2-sd ellipse where that is larger than the point."""
         s = self._mark
         centre = self._table.xy[index, k]
         if not np.isfinite(centre).all():
@@ -243,27 +268,27 @@ class Overlay:
         drawing.disc(canvas, centre, (radius - 1.3 * s) * np.sqrt(max(likelihood, 0.1)), colour)
 
     def _draw_readout(self, canvas: ImageArray, index: int) -> None:
-        """Time, frame, uncertainty and, on a bar of its own, what is wrong with the row."""
+        """Time, frame, uncertainty and, on a separate bar, the row's flag."""
         s = self._scale
         size = self._letter
         left, top = 10 * s, 7 * s
         _, line = drawing.text(canvas, f"{self._table.time_s[index]:.2f} s", (left, top), size, bold=True)
-        words = f"frame {index}"
+        line_2 = f"frame {index}"
         sd_deg = self._table.angle_sd_deg[index]
         if np.isfinite(sd_deg):
-            words += f"   sd {sd_deg:.1f}°"
-        drawing.text(canvas, words, (left, top + 0.95 * line), size, (230, 230, 230))
+            line_2 += f"   sd {sd_deg:.1f}°"
+        drawing.text(canvas, line_2, (left, top + 0.95 * line), size, (230, 230, 230))
         flag = str(self._table.flag[index])
         if flag:
             known = flag in set(Flag)
-            words = _FLAG_WORDS.get(Flag(flag), flag) if known else flag
+            message = _FLAG_TEXT.get(Flag(flag), flag) if known else flag
             if flag == Flag.LOW_LIKELIHOOD and np.isnan(self._table.angle_deg[index]):
-                words = "points not found: no angle"
-            width, height = drawing.text_size(words, size, bold=True)
+                message = "points not found: no angle"
+            width, height = drawing.text_size(message, size, bold=True)
             x, y, pad = round(left), round(top + 2.05 * line), round(5 * s)
             bar = np.full((height + pad // 2, width + 2 * pad), 255, np.uint8)
             drawing.shade(canvas, bar, VERMILLION, x, y, 0.92)
-            drawing.text(canvas, words, (x + pad, y + pad // 4), size, DARK, bold=True, halo=False)
+            drawing.text(canvas, message, (x + pad, y + pad // 4), size, DARK, bold=True, halo=False)
 
 
 def _dashes(

@@ -48,12 +48,14 @@ sign = "auto"
 
 
 class Project:
-    """An opened project. All that it writes lies under `root`, and no file in it mentions where that is.
+    """An opened project. Everything it writes lies under `root`, and no file in it contains that path.
 
     Attributes
     ----------
-    root : the project's folder
-    settings : bendtrack.toml, validated
+    root : Path
+        The project's folder.
+    settings : ProjectSettings
+        Contents of bendtrack.toml, validated.
     """
 
     def __init__(self, root: Path, settings: ProjectSettings) -> None:
@@ -76,10 +78,19 @@ class Project:
 
         Parameters
         ----------
-        root : the project's folder, made with its parents
-        keypoints : names, base to tip
-        angle : an angle definition; None takes `two-vector`, or `three-point` where there are three keypoints
-        scorer : who labels; None takes the default of `ProjectSettings`
+        root : str or Path
+            The project's folder, made with its parents.
+        keypoints : sequence of str
+            Names, base to tip.
+        angle : str or None, optional
+            An angle definition; None takes `two-vector`, or `three-point` where there are three keypoints.
+        scorer : str or None, optional
+            Who labels; None takes the default of `ProjectSettings`.
+
+        Returns
+        -------
+        Project
+            The new project, opened.
 
         Raises
         ------
@@ -107,6 +118,16 @@ class Project:
     @classmethod
     def open(cls, root: str | Path) -> Project:
         """Open a project by its folder.
+
+        Parameters
+        ----------
+        root : str or Path
+            The project's folder.
+
+        Returns
+        -------
+        Project
+            The project.
 
         Raises
         ------
@@ -144,12 +165,18 @@ class Project:
         return self.root / "results"
 
     def angle_definition(self, labelled_xy: FloatArray | None = None) -> AngleDefinition:
-        """Angle of this project, with the sign settled.
+        """Angle definition of this project, with its sign determined.
 
         Parameters
         ----------
-        labelled_xy : (N, K, 2) px of the labelled frames, looked at only where the project's sign is "auto";
-            None then leaves the sign +1, clockwise on the screen
+        labelled_xy : ndarray of float or None, optional
+            (N, K, 2) px of the labelled frames, used only where the project's sign is "auto";
+            None then leaves the sign +1, clockwise on the screen.
+
+        Returns
+        -------
+        AngleDefinition
+            Which angle, of which keypoints, with which sign.
 
         Raises
         ------
@@ -164,18 +191,36 @@ class Project:
         return self.settings.angle_definition(sign=sign_from_labels(labelled_xy, self.keypoints, definition))
 
     def actuator_of(self, video: str) -> str:
-        """Actuator that a video (its stem) shows."""
+        """Actuator that a video (its stem) shows.
+
+        Parameters
+        ----------
+        video : str
+            Stem of the video.
+
+        Returns
+        -------
+        str
+            Name of the actuator.
+        """
         return self.settings.actuator_of(video)
 
     def assign_actuator(self, actuator: str, videos: Sequence[str]) -> None:
-        """List videos (stems or file names) under an actuator in bendtrack.toml, keeping its comments.
+        """List videos (stems or file names) under an actuator in bendtrack.toml, keeping the file's comments.
 
         A video listed under another actuator moves. The file is replaced only when the outcome is valid.
+
+        Parameters
+        ----------
+        actuator : str
+            Name of the actuator; it is added where it is new.
+        videos : sequence of str
+            Stems or file names.
 
         Raises
         ------
         ProjectError
-            The actuator's name cannot be one, or the file has been damaged since.
+            The actuator's name is not valid, or the file was damaged after it was opened.
         """
         path = self.root / SETTINGS_FILE
         document = tomlkit.parse(toml_text(path, ProjectError))

@@ -1,4 +1,4 @@
-"""What may stand in bendtrack.toml: the settings as pydantic models, and one clear line for each mistake.
+"""Contents of bendtrack.toml: the settings as pydantic models, and one clear line for each mistake.
 
 Where the file lies and how a project is created or opened is in `project.py`. Training and tracking settings
 are overrides: one that is not given takes the default of the code that uses it, which is written there once.
@@ -15,13 +15,13 @@ from pydantic_core import PydanticCustomError
 
 from .angle import AngleDefinition, default_points
 from .errors import AngleError, ProjectError
-from .toml_files import Section, mistake_in_words
+from .toml_files import Section, validation_message
 
-# An actuator for every video that no actuator lists: a project that says nothing is a study of one actuator.
+# The actuator of every video that is not listed: a project without a list is a study of one actuator.
 DEFAULT_ACTUATOR = "default"
 
 # Names become CSV column heads, figure legends and DeepLabCut body parts: letters and digits of any script,
-# and a few signs within, nothing that a spreadsheet takes for a formula or a separator.
+# and a few other characters within, nothing that a spreadsheet takes for a formula or a separator.
 _NAME = re.compile(r"\w(?:[\w .+-]*[\w+])?")
 VIDEO_SUFFIXES = (
     *(".avi", ".flv", ".m2ts", ".m4v", ".mj2", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg"),
@@ -37,9 +37,12 @@ class AngleSettings(Section):
 
     Attributes
     ----------
-    definition : one of `angle.DEFINITIONS`
-    points : the chain from base to tip; left out, `angle.default_points` of the keypoints
-    sign : "auto" makes the bending of the labelled frames positive; "+" is clockwise on the screen, "-" not
+    definition : {'two-vector', 'three-point', 'chord', 'arc-fit'}
+        One of `angle.DEFINITIONS`.
+    points : tuple of str or None
+        The chain from base to tip; left out, `angle.default_points` of the keypoints.
+    sign : {'auto', '+', '-'}
+        "auto" makes the bending of the labelled frames positive; "+" is clockwise on the screen, "-" not.
     """
 
     definition: Literal["two-vector", "three-point", "chord", "arc-fit"] = "two-vector"
@@ -48,7 +51,25 @@ class AngleSettings(Section):
 
 
 class TrainingSettings(Section):
-    """Overrides of the training defaults, which are in `bendtrack.models`."""
+    """Overrides of the training defaults, which are in `bendtrack.models`.
+
+    Attributes
+    ----------
+    backbone : {'resnet18', 'resnet34', 'resnet50'} or None
+        Network that features are taken from.
+    init : str or None
+        Starting weights.
+    max_minutes : float or None
+        Time limit of a training, minutes.
+    seed : int or None
+        Seed of the random numbers.
+    steps : int or None
+        Number of optimisation steps.
+    batch_frames : int or None
+        Frames per step.
+    held_out : float or None
+        Fraction of the labelled frames that is kept for evaluation.
+    """
 
     backbone: Literal["resnet18", "resnet34", "resnet50"] | None = None
     init: str | None = None
@@ -60,7 +81,13 @@ class TrainingSettings(Section):
 
 
 class TrackingSettings(Section):
-    """Overrides of the tracking defaults, which are in `tracking.py`."""
+    """Overrides of the tracking defaults, which are in `tracking.py`.
+
+    Attributes
+    ----------
+    min_likelihood : float or None
+        A row with a keypoint of the angle below this is flagged `low_likelihood`.
+    """
 
     min_likelihood: float | None = Field(default=None, ge=0, le=1)
 
@@ -70,10 +97,18 @@ class ProjectSettings(Section):
 
     Attributes
     ----------
-    keypoints : distinct names, from base to tip where the angle names no points
-    scorer : who labels, part of the name of the label files (CollectedData_<scorer>.csv)
-    angle, training, tracking : sections
-    actuators : actuator name -> its videos, as stems or file names. Labels of one actuator train and are
+    keypoints : tuple of str
+        Distinct names, from base to tip where the angle names no points.
+    scorer : str
+        Who labels, part of the name of the label files (CollectedData_<scorer>.csv).
+    angle : AngleSettings
+        Which bending angle is measured.
+    training : TrainingSettings
+        Overrides of the training defaults.
+    tracking : TrackingSettings
+        Overrides of the tracking defaults.
+    actuators : dict of str to tuple of str
+        Actuator name -> its videos, as stems or file names. Labels of one actuator train and are
         judged together. A video that no actuator lists belongs to the actuator `DEFAULT_ACTUATOR`.
     """
 
@@ -134,12 +169,34 @@ class ProjectSettings(Section):
         return self
 
     def angle_definition(self, sign: int) -> AngleDefinition:
-        """The definition with its points filled in, and the given sign."""
+        """The definition with its points filled in, and the given sign.
+
+        Parameters
+        ----------
+        sign : int
+            +1 or -1.
+
+        Returns
+        -------
+        AngleDefinition
+            Which angle, of which keypoints, with which sign.
+        """
         points = self.angle.points or default_points(self.angle.definition, self.keypoints)
         return AngleDefinition(self.angle.definition, points, sign)
 
     def actuator_of(self, video: str) -> str:
-        """Actuator that a video (its stem) shows."""
+        """Actuator that a video (its stem) shows.
+
+        Parameters
+        ----------
+        video : str
+            Stem of the video.
+
+        Returns
+        -------
+        str
+            Name of the actuator.
+        """
         for actuator, videos in self.actuators.items():
             if video in map(listed_stem, videos):
                 return actuator
@@ -149,8 +206,20 @@ class ProjectSettings(Section):
 def listed_stem(video: str) -> str:
     """Stem of a video as listed under `actuators`: a stem, a file name, or a path of either system.
 
-    A dot in a stem is no suffix.
+    A dot within a stem does not begin a suffix.
 
+    Parameters
+    ----------
+    video : str
+        An entry of the list.
+
+    Returns
+    -------
+    str
+        The stem.
+
+    Examples
+    --------
     >>> [listed_stem(v) for v in ("trial 1.5Hz", "trial 1.5Hz.mp4", "videos\\\\a.MOV")]
     ['trial 1.5Hz', 'trial 1.5Hz', 'a']
     """
@@ -161,15 +230,27 @@ def listed_stem(video: str) -> str:
 def parse_settings(raw: dict[str, Any], where: str) -> ProjectSettings:
     """Validate the parsed TOML; `where` (the file's name) opens the message.
 
+    Parameters
+    ----------
+    raw : dict of str to Any
+        The parsed TOML.
+    where : str
+        Name of the file.
+
+    Returns
+    -------
+    ProjectSettings
+        The validated settings.
+
     Raises
     ------
     ProjectError
-        With the key, what was expected and what came; the first mistake, and how many more there are.
+        The message gives the key, what was expected and what was found, for the first mistake, and counts the others.
     """
     try:
         return ProjectSettings.model_validate(raw)
     except ValidationError as error:
-        raise ProjectError(f"{where}: {mistake_in_words(error, ProjectSettings)}") from error
+        raise ProjectError(f"{where}: {validation_message(error, ProjectSettings)}") from error
 
 
 def _check_name(name: str, what: str) -> None:

@@ -1,7 +1,7 @@
-"""The angle table: what it holds, and how it is written (CSV, HDF5, JSON) and read back.
+"""The angle table: its contents, and how it is written (CSV, HDF5, JSON) and read back.
 
-How the numbers come about is in `tracking.py`; whether files on disk are up to date in `bookkeeping.py`;
-pictures of them in `figures.py` and `overlay.py`.
+The numbers are computed in `tracking.py`; `bookkeeping.py` finds out whether files on disk are up to date;
+`figures.py` and `overlay.py` draw them.
 """
 
 from __future__ import annotations
@@ -46,15 +46,24 @@ class AngleTable:
 
     Attributes
     ----------
-    time_s : (T,) seconds from the first frame
-    angle_deg, angle_sd_deg : (T,) degrees, NaN where unknown
-    flag : (T,) strings, values of `types.Flag`; "" is a sound row
-    xy : (T, K, 2) px of the full frame
-    likelihood : (T, K)
-    covariance : (T, K, 2, 2) px^2
-    keypoints : K names
-    definition : which angle; None if the file read (a CSV alone) does not say
-    provenance : JSON-ready: versions, video, detector, settings, warnings
+    time_s : ndarray of float
+        (T,) seconds from the first frame.
+    angle_deg, angle_sd_deg : ndarray of float
+        (T,) degrees, NaN where unknown.
+    flag : ndarray of str
+        (T,) values of `types.Flag`; "" is a sound row.
+    xy : ndarray of float
+        (T, K, 2) px of the full frame.
+    likelihood : ndarray of float
+        (T, K) in [0, 1].
+    covariance : ndarray of float
+        (T, K, 2, 2) px^2.
+    keypoints : tuple of str
+        K names.
+    definition : AngleDefinition or None
+        Which angle; None if the file read (a CSV alone) does not say.
+    provenance : dict of str to Any
+        JSON-ready: versions, video, detector, settings, warnings.
     """
 
     time_s: FloatArray
@@ -106,12 +115,23 @@ class AngleTable:
 def write_results(table: AngleTable, out_dir: str | Path, stem: str) -> tuple[Path, Path, Path]:
     """Write `<stem>.h5`, `<stem>.csv` and `<stem>.json`, each whole or not at all.
 
-    The JSON comes last and holds the hashes of the other two, so after a kill at any moment either it fits
-    them, or `bookkeeping.is_up_to_date` says no. The HDF5 comes first: it tells whose files these are.
+    The JSON comes last and holds the hashes of the other two, so after a kill at any moment it either
+    matches them, or `bookkeeping.is_up_to_date` returns False. The HDF5 comes first: it records whose results
+    these are.
+
+    Parameters
+    ----------
+    table : AngleTable
+        The table to write.
+    out_dir : str or Path
+        Folder, made with its parents.
+    stem : str
+        Name of the files, without suffix.
 
     Returns
     -------
-    paths of the CSV, the HDF5 and the JSON
+    csv_path, h5_path, json_path : Path
+        The files written.
 
     Raises
     ------
@@ -140,10 +160,20 @@ def write_results(table: AngleTable, out_dir: str | Path, stem: str) -> tuple[Pa
 
 
 def read_results(path: str | Path) -> AngleTable:
-    """Read an angle table from its .h5 (exact), its .csv, or its .json (the .h5 or else the .csv beside it).
+    """Read an angle table from its .h5 (exact), its .csv, or its .json (the .h5 or else the .csv next to it).
 
-    A CSV holds no covariances: they are NaN. Definition and provenance come from the JSON beside it if that
-    belongs to it (by hash), else they are None and empty.
+    A CSV holds no covariances: they are NaN. Definition and provenance come from the JSON next to it
+    where its hash of the CSV matches, else they are None and empty.
+
+    Parameters
+    ----------
+    path : str or Path
+        The .h5, .csv or .json of a table.
+
+    Returns
+    -------
+    AngleTable
+        The table.
 
     Raises
     ------
@@ -159,20 +189,30 @@ def read_results(path: str | Path) -> AngleTable:
         return _read_csv(path)
     if path.suffix == ".json":
         read_record(path)
-        for reader, beside in ((_read_h5, path.with_suffix(".h5")), (_read_csv, path.with_suffix(".csv"))):
-            if beside.is_file():
-                return reader(beside)
-        raise ResultsError(f"{path}: expected its .h5 or .csv beside it, found neither")
+        for reader, table in ((_read_h5, path.with_suffix(".h5")), (_read_csv, path.with_suffix(".csv"))):
+            if table.is_file():
+                return reader(table)
+        raise ResultsError(f"{path}: expected its .h5 or .csv next to it, found neither")
     raise ResultsError(f"{path}: expected results in .csv, .h5 or .json, got '{path.suffix}'")
 
 
 def read_record(path: Path) -> dict[str, Any]:
-    """The JSON beside a table as it stands.
+    """The JSON record of a table, unchanged.
+
+    Parameters
+    ----------
+    path : Path
+        The .json of a table.
+
+    Returns
+    -------
+    dict of str to Any
+        Contents of the file.
 
     Raises
     ------
     ResultsError
-        It cannot be read or is not bendtrack's.
+        The file cannot be read or was not written by bendtrack.
     """
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
@@ -184,7 +224,18 @@ def read_record(path: Path) -> dict[str, Any]:
 
 
 def json_ready(value: Any) -> Any:
-    """Plain JSON values: tuples as lists, numpy scalars as numbers, NaN and infinities as null."""
+    """Plain JSON values: tuples as lists, numpy scalars as numbers, NaN and infinities as null.
+
+    Parameters
+    ----------
+    value : Any
+        Nested mappings, sequences, arrays, numbers, strings and paths.
+
+    Returns
+    -------
+    Any
+        Nested dicts and lists of JSON values.
+    """
     if isinstance(value, Mapping):
         return {str(key): json_ready(item) for key, item in value.items()}
     if isinstance(value, list | tuple | np.ndarray):
@@ -231,7 +282,7 @@ def _read_csv(path: Path) -> AngleTable:
     except ValueError as error:
         raise ResultsError(f"{path}: expected numbers or empty cells ({error})") from error
     values = numbers[wanted].to_numpy().reshape(len(frame), len(keypoints), 3)
-    definition, provenance = _definition_beside(path)
+    definition, provenance = _recorded_definition(path)
     return AngleTable(
         time_s=numbers["time_s"].to_numpy(),
         angle_deg=numbers["angle_deg"].to_numpy(),
@@ -246,7 +297,7 @@ def _read_csv(path: Path) -> AngleTable:
     )
 
 
-def _definition_beside(csv_path: Path) -> tuple[AngleDefinition | None, dict[str, Any]]:
+def _recorded_definition(csv_path: Path) -> tuple[AngleDefinition | None, dict[str, Any]]:
     try:
         record = read_record(csv_path.with_suffix(".json"))
     except ResultsError:

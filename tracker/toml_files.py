@@ -1,6 +1,6 @@
-"""TOML files that people write: read with any editor's quirks, and each mistake in them told in one line.
+"""TOML files written by users: read whatever editor wrote them, each mistake reported in one line.
 
-What may stand in a file is said by the pydantic models of `project_settings.py` and `study/study_file.py`.
+The keys of each file are defined by the pydantic models of `project_settings.py` and `study/study_file.py`.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from pydantic_core import ErrorDetails
 
 from .errors import BendtrackError
 
-# What pydantic calls by its Python name.
+# TOML names of what pydantic calls by its Python name.
 _IN_TOML = {"dict_type": "a [section]", "model_type": "a [section]", "tuple_type": "a list"}
 
 
 class Section(BaseModel):
-    """A section of a file: keys that it does not know are refused, and nothing is converted."""
+    """A section of a file: unknown keys are refused, and no value is converted."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
@@ -28,12 +28,24 @@ class Section(BaseModel):
 def toml_text(path: Path, error: type[BendtrackError]) -> str:
     """Text of a TOML file that is known to parse. Windows editors may have put a byte order mark in front.
 
+    Parameters
+    ----------
+    path : Path
+        The file.
+    error : type[BendtrackError]
+        Class of the error to raise.
+
+    Returns
+    -------
+    str
+        The text, with Unix newlines.
+
     Raises
     ------
     error
         Not UTF-8, or not TOML (with the line).
     OSError
-        As it came.
+        The file cannot be read.
     """
     try:
         text = path.read_bytes().decode("utf-8-sig").replace("\r\n", "\n")
@@ -45,15 +57,28 @@ def toml_text(path: Path, error: type[BendtrackError]) -> str:
     return text
 
 
-def mistake_in_words(error: ValidationError, model: type[BaseModel]) -> str:
-    """The first mistake in a file of this model, with its key, what was expected and what came; how many more."""
+def validation_message(error: ValidationError, model: type[BaseModel]) -> str:
+    """The first mistake in a file of this model (key, what was expected, what was found), and the number of others.
+
+    Parameters
+    ----------
+    error : ValidationError
+        What pydantic raised.
+    model : type[BaseModel]
+        The model that the file was validated against.
+
+    Returns
+    -------
+    str
+        One line.
+    """
     # A key that is not known first: it may be what another, missing, was meant to be.
     mistakes = sorted(error.errors(), key=lambda mistake: mistake["type"] != "extra_forbidden")
     more = f" (and {len(mistakes) - 1} more)" if len(mistakes) > 1 else ""
-    return f"{_in_words(mistakes[0], model)}{more}"
+    return f"{_message(mistakes[0], model)}{more}"
 
 
-def _in_words(mistake: ErrorDetails, model: type[BaseModel]) -> str:
+def _message(mistake: ErrorDetails, model: type[BaseModel]) -> str:
     key = _key(mistake["loc"])
     if mistake["type"] == "extra_forbidden":
         allowed = _keys_of(model, mistake["loc"][:-1])
@@ -65,25 +90,25 @@ def _in_words(mistake: ErrorDetails, model: type[BaseModel]) -> str:
     message = mistake["msg"].replace("Input should be", "expected")
     if mistake["type"] in _IN_TOML:
         message = f"expected {_IN_TOML[mistake['type']]}"
-    if "url" not in mistake:  # our own validators say all there is to say
+    if "url" not in mistake:  # messages of our own validators are complete
         return f"{key}: {message}" if key else message
     return f"{key}: {message}, got {mistake['input']!r}"
 
 
-def _key(place: tuple[int | str, ...]) -> str:
+def _key(location: tuple[int | str, ...]) -> str:
     """Where a mistake is, as in the file; entries of a list are counted from 1.
 
     >>> _key(("trials", 2, "kind"))
     'trials[3].kind'
     """
-    parts = [f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in place]
+    parts = [f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in location]
     return "".join(parts).removeprefix(".")
 
 
-def _keys_of(model: type[BaseModel], place: tuple[int | str, ...]) -> list[str]:
-    """Keys that the section at a place may have."""
+def _keys_of(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+    """Keys that the section at a location may have."""
     section: Any = model
-    for part in place:
+    for part in location:
         if _is_model(section):
             section = section.model_fields[part].annotation
             choices = get_args(section)

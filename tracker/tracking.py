@@ -1,6 +1,6 @@
-"""From a video and a detector to an angle table: decoding runs beside detection, every frame gets its row.
+"""From a video and a detector to an angle table: decoding runs in parallel with detection, every frame gets its row.
 
-Knows no network: any `types.Detector` will do. Decoding is in `video.py`, what the detections mean in
+Independent of any network: takes any `types.Detector`. Decoding is in `video.py`, the angle and its flags in
 `measuring.py`.
 """
 
@@ -19,12 +19,12 @@ import numpy as np
 
 from .angle import AngleDefinition
 from .measuring import MIN_LIKELIHOOD, check_points, measure
-from .read_ahead import read_ahead, side_by_side
+from .prefetch import parallel_map, read_ahead
 from .results import AngleTable, json_ready
 from .types import Detections, Detector, Flag, FloatArray, Frames, ImageArray, VideoDetector
 from .video import Video, file_sha256
 
-# Batches decoded ahead, beside those being used and one in the making.
+# Batches decoded ahead of those in use, in addition to the one being decoded.
 _BATCHES_AHEAD = 1
 
 Progress = Callable[[int, int | None], None]
@@ -32,7 +32,7 @@ Progress = Callable[[int, int | None], None]
 
 @dataclass
 class _Batch:
-    """Consecutive frames: their times and states, and the pictures of those that could be decoded."""
+    """Consecutive frames: their times and states, and the images of those that could be decoded."""
 
     time_s: list[float] = field(default_factory=list)
     decoded: list[bool] = field(default_factory=list)
@@ -46,28 +46,36 @@ def track(
     definition: AngleDefinition,
     *,
     min_likelihood: float = MIN_LIKELIHOOD,
-    steady: bool = False,
+    check_jumps: bool = False,
     progress: Progress | None = None,
     video_sha256: str | None = None,
 ) -> AngleTable:
     """Find the keypoints in every frame of a video and measure the bending angle.
 
-    Memory does not grow with the video, but for the table itself.
+    Memory does not grow with the length of the video, except for the table itself.
 
     Parameters
     ----------
-    video : the video file
-    detector : finds keypoints in frames; a `VideoDetector` follows them through stretches of the video
-    definition : which angle, of which of the detector's keypoints
-    min_likelihood : a row with a keypoint of the angle below this is flagged `low_likelihood`
-    steady : whether a row whose neighbours say another angle is flagged `jump`
-    progress : called after each batch with the number of frames done and the number claimed by the file
-    video_sha256 : the file's hash where the caller knows it already
+    video : str or Path
+        The video file.
+    detector : Detector
+        Finds keypoints in frames; a `VideoDetector` is given the video in chunks of consecutive frames.
+    definition : AngleDefinition
+        Which angle, of which of the detector's keypoints.
+    min_likelihood : float, optional
+        A row with a keypoint of the angle below this is flagged `low_likelihood`.
+    check_jumps : bool, optional
+        Whether the temporal-consistency check runs: a row whose angle differs from those of the frames around it
+        is flagged `jump`.
+    progress : Progress or None, optional
+        Called after each batch with the number of frames done and the number claimed by the file.
+    video_sha256 : str or None, optional
+        SHA-256 of the file, where the caller has computed it already.
 
     Returns
     -------
     AngleTable
-        With a row for every frame, flagged as `types.Flag` says, and its provenance.
+        One row for every frame, flagged as `types.Flag` defines, and its provenance.
 
     Raises
     ------
@@ -81,16 +89,16 @@ def track(
     k = len(detector.keypoints)
     batch_size, workers, detect = detector.batch_size, 1, detector.detect
     if isinstance(detector, VideoDetector):
-        batch_size = detector.stretch_frames(source.size_wh, source.claimed_frames)
+        batch_size = detector.chunk_frames(source.size_wh, source.claimed_frames)
         workers = detector.workers
-        detect = partial(_followed, detector)
+        detect = partial(_detect_chunk, detector)
     time_s: list[float] = []
     decoded: list[bool] = []
     damaged: list[bool] = []
     found: list[tuple[FloatArray, FloatArray, FloatArray]] = []
     with (
         closing(read_ahead(_batches(source, batch_size), _BATCHES_AHEAD)) as batches,
-        closing(side_by_side(lambda b: detect(b.images) if b.images else None, batches, workers)) as detected,
+        closing(parallel_map(lambda b: detect(b.images) if b.images else None, batches, workers)) as detected,
     ):
         for batch, detections in detected:
             if detections is not None:
@@ -120,12 +128,12 @@ def track(
         decoded=is_decoded,
         damaged=np.array(damaged),
         min_likelihood=min_likelihood,
-        steady=steady,
+        check_jumps=check_jumps,
     )
     provenance = {
         "bendtrack": version("bendtrack"),
         "video": {
-            # Linux allows names that are no text: what is not becomes a question mark.
+            # Linux allows names that are not text: invalid bytes become a replacement character.
             "name": os.fsencode(source.path.name).decode("utf-8", "replace"),
             "sha256": video_sha256 or file_sha256(source.path),
             "size_wh": source.size_wh,
@@ -140,7 +148,7 @@ def track(
             "complete": source.complete,
         },
         "detector": detector.provenance,
-        "settings": tracking_settings(definition, min_likelihood, steady),
+        "settings": tracking_settings(definition, min_likelihood, check_jumps),
         "warnings": source.warnings,
         "rows": {kind.value or "sound": int((rows.flag == kind).sum()) for kind in Flag},
     }
@@ -159,21 +167,36 @@ def track(
 
 
 def tracking_settings(
-    definition: AngleDefinition, min_likelihood: float = MIN_LIKELIHOOD, steady: bool = False
+    definition: AngleDefinition, min_likelihood: float = MIN_LIKELIHOOD, check_jumps: bool = False
 ) -> dict[str, Any]:
-    """What besides video and detector decides the table; recorded in it and compared by `is_up_to_date`."""
-    asked = {"angle": asdict(definition), "min_likelihood": min_likelihood}
-    settings: dict[str, Any] = json_ready(asked | ({"steady": True} if steady else {}))
-    return settings
+    """Settings that determine a table, apart from video and detector; recorded, and compared by `is_up_to_date`.
+
+    Parameters
+    ----------
+    definition : AngleDefinition
+        Which angle, of which keypoints.
+    min_likelihood : float, optional
+        Threshold of the flag `low_likelihood`.
+    check_jumps : bool, optional
+        Whether the temporal-consistency check runs.
+
+    Returns
+    -------
+    dict of str to Any
+        JSON-ready settings; the check is recorded under the key `steady`, and only where it runs.
+    """
+    settings = {"angle": asdict(definition), "min_likelihood": min_likelihood}
+    recorded: dict[str, Any] = json_ready(settings | ({"steady": True} if check_jumps else {}))
+    return recorded
 
 
-def _followed(detector: VideoDetector, frames: Frames) -> Detections:
-    """What is found in a stretch, by itself: the same, however many are worked on at once."""
+def _detect_chunk(detector: VideoDetector, frames: Frames) -> Detections:
+    """Detections in a chunk, independent of other chunks: the same for any number of workers."""
     return detector.follow().detect(frames)
 
 
 def _batches(source: Video, batch_size: int) -> Generator[_Batch, None, None]:
-    """Frames in batches of at most `batch_size` pictures, converted to RGB here, beside the detector."""
+    """Frames in batches of at most `batch_size`, converted to RGB in this thread, in parallel with the detector."""
     batch = _Batch()
     for frame in source:
         batch.time_s.append(frame.time_s)
@@ -181,7 +204,7 @@ def _batches(source: Video, batch_size: int) -> Generator[_Batch, None, None]:
         batch.damaged.append(frame.damaged)
         if frame.image is not None:
             batch.images.append(frame.image)
-        # Counted by rows, so that a long undecodable stretch does not pile up either.
+        # Counted by rows, so that a long run of undecodable frames does not accumulate either.
         if len(batch.time_s) == batch_size:
             yield batch
             batch = _Batch()
@@ -190,7 +213,7 @@ def _batches(source: Video, batch_size: int) -> Generator[_Batch, None, None]:
 
 
 def _scatter(found: list[FloatArray], is_decoded: np.ndarray, shape: tuple[int, ...]) -> FloatArray:
-    """What was found in the decoded frames at its rows (T, ...), NaN in between."""
+    """Values of the decoded frames at their rows (T, ...), NaN at the other rows."""
     values = np.full((len(is_decoded), *shape), np.nan)
     if found:
         values[is_decoded] = np.concatenate(found)

@@ -37,13 +37,13 @@ class Flag(StrEnum):
     """Why a row of an angle table is missing or to be doubted. One flag a row, the first that applies.
 
     NONE                the row is sound (an empty cell in the table)
-    PASSED_OVER         live only: a newer frame was there already: everything but its time is NaN
+    PASSED_OVER         live only: dropped, a newer frame was there already: everything but its time is NaN
     UNDECODABLE         the frame could not be decoded: everything but its time is NaN
     COINCIDENT_POINTS   two neighbouring points of the angle's chain fall together: the angle is NaN
     OUT_OF_FRAME        a keypoint of the angle lies outside the frame: positions kept, angle NaN
-    DAMAGED             the picture was decoded from a frame that could not be decoded: all values kept
+    DAMAGED             the frame was decoded from a frame that could not be decoded: all values kept
     LOW_LIKELIHOOD      a keypoint of the angle has a likelihood under the threshold: all values kept
-    JUMP                without labels only: the frames before and after say another angle: all values kept
+    JUMP                without labels only: the frames before and after have another angle: all values kept
     """
 
     NONE = ""
@@ -62,9 +62,12 @@ class Detections:
 
     Attributes
     ----------
-    xy : (N, K, 2) float64, px of the full frame
-    likelihood : (N, K) float64 in [0, 1]
-    covariance : (N, K, 2, 2) float64, px^2
+    xy : ndarray of float
+        (N, K, 2) float64, px of the full frame.
+    likelihood : ndarray of float
+        (N, K) float64 in [0, 1].
+    covariance : ndarray of float
+        (N, K, 2, 2) float64, px^2.
     """
 
     xy: FloatArray
@@ -89,50 +92,91 @@ class Detector(Protocol):
 
     @property
     def batch_size(self) -> int:
-        """How many frames it likes to be given at once."""
+        """Number of frames that `detect` should be given at once."""
 
     @property
     def provenance(self) -> Mapping[str, Any]:
         """JSON-ready settings and hashes: two detectors with equal provenance give equal detections."""
 
     def detect(self, frames: Frames) -> Detections:
-        """Find the keypoints in frames. There may be fewer than `batch_size`."""
+        """Find the keypoints in frames. There may be fewer than `batch_size`.
+
+        Parameters
+        ----------
+        frames : Frames
+            N frames, N <= `batch_size`.
+
+        Returns
+        -------
+        Detections
+            Keypoints of the N frames.
+        """
 
 
 @runtime_checkable
 class VideoDetector(Detector, Protocol):
-    """A detector that does better, or sooner, when it is given the frames of one video in their order."""
+    """A detector that is more accurate, or faster, when it is given the frames of one video in order."""
 
     @property
     def workers(self) -> int:
-        """How many stretches of a video it can work on at the same time."""
+        """Number of chunks of a video that can be processed in parallel."""
 
-    def stretch_frames(self, size_wh: tuple[int, int], frames: int | None) -> int:
-        """Frames of a stretch, in a video of so many frames of that size; None: nobody says how many."""
+    def chunk_frames(self, size_wh: tuple[int, int], frames: int | None) -> int:
+        """Frames in a chunk, for a video of `frames` frames (None: unknown) of size `size_wh` px.
+
+        Parameters
+        ----------
+        size_wh : tuple of (int, int)
+            Width and height of the frames, px.
+        frames : int or None
+            Number of frames in the video, None where unknown.
+
+        Returns
+        -------
+        int
+            Number of frames in a chunk.
+        """
 
     def follow(self) -> Detector:
-        """A detector for consecutive frames, fresh: it may use what it found in the frames before."""
+        """A new detector for consecutive frames, which may use its detections in the frames before.
+
+        Returns
+        -------
+        Detector
+            A detector that is given the chunk's frames in order.
+        """
 
 
 @runtime_checkable
-class SparingDetector(Detector, Protocol):
-    """A detector for one video that wants to be told of frames that it is spared."""
+class DropAwareDetector(Detector, Protocol):
+    """A detector for one video that must know of dropped frames, which it is not given."""
 
-    def pass_over(self, frames: int) -> None:
-        """So many frames of the video, the next ones, will not be given."""
+    def skip_frames(self, count: int) -> None:
+        """Announce that the next `count` frames of the video were dropped.
+
+        Parameters
+        ----------
+        count : int
+            Number of frames.
+        """
 
 
 @dataclass(frozen=True)
 class LabelledFrame:
-    """One frame with the points that a person clicked on it.
+    """One frame with the keypoints that a person labelled.
 
     Attributes
     ----------
-    video : stem of the video it comes from (its folder in labeled-data/)
-    image_path : the extracted picture, an existing file
-    xy : (K, 2) float64 px, NaN where a keypoint is not labelled
-    actuator : which actuator it shows; labels of one actuator train and are judged together
-    frame : index of the frame in its video, None when the file name does not tell
+    video : str
+        Stem of the video it comes from (its folder in labeled-data/).
+    image_path : Path
+        The extracted frame, an existing image file.
+    xy : ndarray of float
+        (K, 2) float64 px, NaN where a keypoint is not labelled.
+    actuator : str
+        Which actuator it shows; labels of one actuator train and are judged together.
+    frame : int or None
+        Index of the frame in its video, None where the file name does not contain it.
     """
 
     video: str

@@ -1,7 +1,7 @@
-"""Reading video: every frame in order, as displayed, with its presentation time; what is missing is said.
+"""Reading video: every frame in order, as displayed, with its presentation time; missing frames are reported.
 
-How a damaged stream is accounted for is in `decoding.py`; what a container says in `container.py`; writing
-video in `video_writer.py`.
+Damaged streams are handled in `decoding.py`, container metadata in `container.py`; writing
+video is in `video_writer.py`.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ import av
 import numpy as np
 from av.video.reformatter import VideoReformatter
 
-from .container import Orientation, claimed_duration_s, claimed_frames, first_picture, open_video, orientation
+from .container import Orientation, claimed_duration_s, claimed_frames, first_frame, open_video, orientation
 from .decoding import Decoding, Row
 from .errors import VideoError
 from .types import FloatArray, ImageArray
 
-# A pause so many times the usual frame interval is worth a word: lost frames look like this.
+# A pause of so many usual frame intervals gets a warning: it may be lost frames.
 _PAUSE_INTERVALS = 4
 
 
@@ -33,7 +33,7 @@ _of_thread = threading.local()
 
 
 def _reformatter() -> VideoReformatter:
-    """This thread's converter of colours: one of its own for every frame takes six times as long."""
+    """The colour converter of this thread: creating one for each frame takes six times as long."""
     if not hasattr(_of_thread, "reformatter"):
         _of_thread.reformatter = VideoReformatter()
     return cast(VideoReformatter, _of_thread.reformatter)
@@ -45,11 +45,16 @@ class Frame:
 
     Attributes
     ----------
-    index : 0 for the first frame; frames that could not be decoded count
-    time_s : seconds from the first frame, from presentation times
-    decoded : the picture as the decoder gave it (mostly YUV, not turned); None if it could not be decoded
-    orientation : how `decoded` is turned to be displayed
-    damaged : decoded without error, but from a frame that could not be decoded
+    index : int
+        0 for the first frame; frames that could not be decoded are counted.
+    time_s : float
+        Seconds from the first frame, from presentation times.
+    decoded : VideoFrame or None
+        The frame as decoded (mostly YUV, not turned); None if it could not be decoded.
+    orientation : Orientation
+        How `decoded` is turned to be displayed.
+    damaged : bool
+        Decoded without error, but from a frame that could not be decoded.
     """
 
     index: int
@@ -60,7 +65,7 @@ class Frame:
 
     @cached_property
     def image(self) -> ImageArray | None:
-        """RGB uint8 (H, W, 3) as displayed, None if undecodable. Converted when first asked for."""
+        """RGB uint8 (H, W, 3) as displayed, None if undecodable. Converted at first access."""
         if self.decoded is None:
             return None
         rgb = _reformatter().reformat(self.decoded, format="rgb24")
@@ -70,25 +75,34 @@ class Frame:
 class Video:
     """A video file, read from its first frame to its last.
 
-    Iterating yields a `Frame` for every frame. It can be repeated and starts anew each time; nothing stays
-    open in between. `warnings` and `complete` tell about the latest iteration, and are whole once it has
-    ended.
+    Iterating yields a `Frame` for every frame. Each iteration starts again from the first frame; the file is
+    closed in between. `warnings` and `complete` refer to the latest iteration and are final once it has ended.
 
     Parameters
     ----------
-    path : the video file
-    threads : decoding threads; one decodes 640 x 480 H.264 at more than 1000 frames/s
+    path : str or Path
+        The video file.
+    threads : int, optional
+        Number of decoding threads; one decodes 640 x 480 H.264 at more than 1000 frames/s.
 
     Attributes
     ----------
     path : Path
-    size_wh : (width, height) in px as displayed
-    claimed_frames : number of frames according to the container, None where it does not say
-    frame_rate : mean frames/s according to the container, None where it does not say; for display only
-    codec : FFmpeg's name of the codec
-    rotation_deg : counterclockwise turn that the file asks for, and that is applied
-    warnings : what the user should know, a line each
-    complete : False when frames are missing, undecodable or damaged
+        The video file.
+    size_wh : tuple of (int, int)
+        Width and height as displayed, px.
+    claimed_frames : int or None
+        Number of frames according to the container, None where it does not say.
+    frame_rate : float or None
+        Mean frames/s according to the container, None where it does not say; for display only.
+    codec : str
+        FFmpeg's name of the codec.
+    rotation_deg : int
+        Counterclockwise turn that the file asks for and that is applied, degrees.
+    warnings : list of str
+        What the user should know, a line each.
+    complete : bool
+        False when frames are missing, undecodable or damaged.
 
     Raises
     ------
@@ -107,21 +121,20 @@ class Video:
             self._claimed_duration_s = claimed_duration_s(container, stream)
             rate = stream.average_rate or stream.guessed_rate
             self.frame_rate = float(rate) if rate else None
-            self._nominal_rate = (
-                Fraction(rate) if rate else Fraction(25)
-            )  # 25 is FFmpeg's own for streams without
+            # 25 is FFmpeg's own default for streams without a rate.
+            self._nominal_rate = Fraction(rate) if rate else Fraction(25)
             self._counts_slots = container.format.name == "avi"
-            picture = first_picture(container, stream, self.path)
-            self._orientation, self.rotation_deg, warning = orientation(picture)
+            first = first_frame(container, stream, self.path)
+            self._orientation, self.rotation_deg, warning = orientation(first)
             if warning:
                 self._standing_warnings.append(warning)
             if stream.sample_aspect_ratio not in (None, 0, 1):
                 self._standing_warnings.append(
                     f"pixels are not square (aspect {stream.sample_aspect_ratio}): positions and angles are "
-                    "those of the picture as stored"
+                    "those of the frame as stored"
                 )
-        self._picture_wh = (picture.width, picture.height)
-        self.size_wh = self._picture_wh[::-1] if self._orientation.transpose else self._picture_wh
+        self._stored_wh = (first.width, first.height)
+        self.size_wh = self._stored_wh[::-1] if self._orientation.transpose else self._stored_wh
         self.warnings = list(self._standing_warnings)
         self.complete = True
 
@@ -139,7 +152,7 @@ class Video:
         undecodable_s: list[float] = []
         n_damaged = 0
         with open_video(self.path, self._threads) as (container, stream):
-            decoding = Decoding(container, stream, self._picture_wh)
+            decoding = Decoding(container, stream, self._stored_wh)
             start: int | None = None
             for row in decoding.rows():
                 start = row.stamp if start is None else start
@@ -213,6 +226,18 @@ class Video:
 def read_frame(path: str | Path, index: int) -> ImageArray:
     """The frame with this index as RGB uint8 (H, W, 3), found by decoding from the start.
 
+    Parameters
+    ----------
+    path : str or Path
+        The video file.
+    index : int
+        Index of the frame, from 0; frames that could not be decoded are counted.
+
+    Returns
+    -------
+    ndarray of uint8
+        RGB (H, W, 3).
+
     Raises
     ------
     VideoError
@@ -231,6 +256,18 @@ def read_frame(path: str | Path, index: int) -> ImageArray:
 def spread_frames(path: str | Path, count: int) -> list[ImageArray]:
     """At most `count` frames spread over a video, RGB uint8 (H, W, 3); fewer where it has fewer that can be decoded.
 
+    Parameters
+    ----------
+    path : str or Path
+        The video file.
+    count : int
+        Largest number of frames.
+
+    Returns
+    -------
+    list of ndarray of uint8
+        RGB (H, W, 3) each, in the order of the video.
+
     Raises
     ------
     VideoError
@@ -242,7 +279,7 @@ def spread_frames(path: str | Path, count: int) -> list[ImageArray]:
         if frame.index % step or frame.decoded is None or frame.damaged:
             continue
         kept.append(frame)
-        # Nobody need say how long it is: when there are twice too many, every second one goes.
+        # Works without a known length: when there are twice too many frames, every second one is discarded.
         if len(kept) >= 2 * count:
             kept, step = kept[::2], 2 * step
     places = np.linspace(0, len(kept) - 1, min(count, len(kept))).astype(int).tolist()
@@ -252,6 +289,18 @@ def spread_frames(path: str | Path, count: int) -> list[ImageArray]:
 def video_stem(path: str | Path) -> str:
     """Name of a video without folder and suffix, by which its labels and results are named.
 
+    Parameters
+    ----------
+    path : str or Path
+        The video file.
+
+    Returns
+    -------
+    str
+        The stem.
+
+    Examples
+    --------
     >>> video_stem("rig/original 0.25Hz.mp4")
     'original 0.25Hz'
     """
@@ -259,6 +308,17 @@ def video_stem(path: str | Path) -> str:
 
 
 def file_sha256(path: str | Path) -> str:
-    """SHA-256 of a file as hexadecimal digits; the file is read in pieces."""
+    """SHA-256 of a file as hexadecimal digits; the file is read in blocks.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits.
+    """
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

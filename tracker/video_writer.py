@@ -15,7 +15,7 @@ from .errors import VideoError, reason
 from .types import ImageArray
 
 _TIME_BASE = Fraction(1, 90_000)  # divides 24, 25, 30, 50 and 60 frames/s
-# Sharp letters. On noisy camera pictures "superfast" takes as long and makes files three times as large, slower
+# Keeps letters sharp. On noisy camera frames "superfast" takes as long and makes files three times as large, slower
 # presets take longer and make them no smaller.
 _OPTIONS = {"crf": "20", "preset": "veryfast"}
 _BT709 = 1  # FFmpeg's number for its matrix, primaries and transfer
@@ -24,13 +24,16 @@ _BT709 = 1  # FFmpeg's number for its matrix, primaries and transfer
 class VideoWriter:
     """Write RGB images as an mp4. Use as a context manager; if the block raises, no file is left.
 
-    Odd sizes are padded by a column or a row (4:2:0 colour has none), repeating the edge.
+    Odd sizes are padded by a column or a row (4:2:0 colour needs even sizes), repeating the edge.
 
     Parameters
     ----------
-    path : the mp4 to write or replace
-    size_wh : (width, height) of the images in px
-    frame_rate : frames/s, for images that come without a time and for players' information
+    path : str or Path
+        The mp4 file to write or replace.
+    size_wh : tuple of (int, int)
+        (width, height) of the images in px.
+    frame_rate : float
+        Frames/s: the times of images written without a time, and the rate stated in the file.
 
     Raises
     ------
@@ -64,7 +67,21 @@ class VideoWriter:
     def write(self, image: ImageArray, time_s: float | None = None) -> None:
         """Append an RGB uint8 (H, W, 3) image, shown from `time_s` on (default: at the frame rate).
 
-        Times that do not increase are moved by the least step that mp4 can tell (1/90000 s).
+        Times that do not increase are moved by the smallest step that mp4 can represent (1/90000 s).
+
+        Parameters
+        ----------
+        image : ndarray of uint8
+            RGB uint8 (H, W, 3) of the writer's size.
+        time_s : float or None, optional
+            Time from which the image is shown, s; None for the next time at the frame rate.
+
+        Raises
+        ------
+        ValueError
+            An image of another shape or type.
+        VideoError
+            The file cannot be written.
         """
         width, height = self._size_wh
         if image.shape != (height, width, 3) or image.dtype != np.uint8:
@@ -75,17 +92,17 @@ class VideoWriter:
             image = np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
         seconds = self._n_written / self._frame_rate if time_s is None else time_s
         stamp = max(round(seconds / _TIME_BASE), self._last_stamp + 1)
-        picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(image)).reformat(
+        frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image)).reformat(
             format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG"
         )
-        picture.pts, picture.time_base = stamp, _TIME_BASE
-        self._encode(picture)
+        frame.pts, frame.time_base = stamp, _TIME_BASE
+        self._encode(frame)
         self._last_stamp = stamp
         self._n_written += 1
 
-    def _encode(self, picture: av.VideoFrame | None) -> None:
+    def _encode(self, frame: av.VideoFrame | None) -> None:
         try:
-            self._container.mux(self._stream.encode(picture))
+            self._container.mux(self._stream.encode(frame))
         except (OSError, av.FFmpegError) as error:
             raise self._error(error) from error
 

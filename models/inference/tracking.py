@@ -93,7 +93,7 @@ class KeypointTracker:
         self._dropped_frames = 0
         self._at_rest: list[_AtRest | None] = [None] * len(metadata.keypoints)
 
-    def pass_over(self, frames: int) -> None:
+    def skip_frames(self, frames: int) -> None:
         """Say that the next so many frames of the video are dropped: keypoints move on during them."""
         self._dropped_frames += frames
 

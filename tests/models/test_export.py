@@ -153,8 +153,8 @@ def test_a_short_video_is_cut_for_two_cores_however_many_there_are(untrained: Pa
         detector = NetworkDetector.load(untrained, engine="openvino", device="cpu", threads=threads)
         assert detector.workers == threads
         lengths = {None: 48, 6000: 48, 60: 30, 31: 16, 5: 8, 0: 8}
-        assert {n: detector.stretch_frames((640, 480), n) for n in lengths} == lengths
-        assert detector.stretch_frames((1920, 1080), 6000) == 8
+        assert {n: detector.chunk_frames((640, 480), n) for n in lengths} == lengths
+        assert detector.chunk_frames((1920, 1080), 6000) == 8
 
 
 def test_all_cores_for_one_frame_find_the_same(untrained: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
@@ -74,10 +76,10 @@ def encode(
         if with_audio:
             container.add_stream("aac", rate=16_000)
         for number, image in enumerate(images):
-            picture = av.VideoFrame.from_ndarray(image)
+            frame = av.VideoFrame.from_ndarray(image)
             if times_s is not None:
-                picture.pts, picture.time_base = round(times_s[number] / time_base), time_base
-            container.mux(stream.encode(picture))
+                frame.pts, frame.time_base = round(times_s[number] / time_base), time_base
+            container.mux(stream.encode(frame))
         container.mux(stream.encode(None))
     return path
 
@@ -120,6 +122,27 @@ class DiscDetector:
         return Detections(xy, likelihood, covariance)
 
 
+def peak_memory(code: str, videos: Mapping[int, Path], *args: str) -> list[int]:
+    """Peak memory of a script for each video, in processes of their own that run at the same time.
+
+    The script gets the video as its first argument, prints the number of frames, and ends.
+    """
+    # On Linux not ru_maxrss, which includes the memory of the process that started this one.
+    code += (
+        "\nimport re, resource\nfrom pathlib import Path\nstatus = Path('/proc/self/status')\n"
+        "print(re.search(r'VmHWM:\\s+(\\d+)', status.read_text())[1] if status.exists() else\n"
+        "      resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+    )
+    running = [
+        subprocess.Popen([sys.executable, "-c", code, str(path), *args], stdout=subprocess.PIPE, text=True)
+        for path in videos.values()
+    ]
+    outputs = [process.communicate()[0].split() for process in running]
+    assert [process.returncode for process in running] == [0] * len(videos)
+    assert [int(n) for n, _ in outputs] == list(videos)
+    return [int(peak) for _, peak in outputs]
+
+
 class Film:
     """What the tests of video need to make their own: functions of this file by name."""
 
@@ -131,6 +154,7 @@ class Film:
     packet_places = staticmethod(packet_places)
     cut = staticmethod(cut)
     DiscDetector = DiscDetector
+    peak_memory = staticmethod(peak_memory)
 
 
 @pytest.fixture(scope="session")
@@ -155,3 +179,14 @@ def arm_video(tmp_path_factory: pytest.TempPathFactory, arm_images: list[np.ndar
     path = tmp_path_factory.mktemp("arm") / "arm.mp4"
     options = {"g": "20", "bf": "3", "crf": "16"}
     return encode(path, arm_images, options=options, container_options={"movflags": "+faststart"})
+
+
+@pytest.fixture(scope="session")
+def short_and_long_video(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
+    """Two videos by their number of frames, one ten times as long: memory must not grow with the length."""
+    folder = tmp_path_factory.mktemp("lengths")
+    images = [draw_arm(angle) for angle in np.linspace(0, 90, 20)]
+    return {
+        count: encode(folder / f"{count}.mp4", [images[n % 20] for n in range(count)], codec="mpeg4")
+        for count in (300, 3000)
+    }

@@ -37,7 +37,7 @@ def damage(path: Path, out: Path, places: list[tuple[int, int]], seed: int = 0, 
 def test_no_picture_that_damage_changed_is_given_out_as_sound(
     tmp_path, film, arm_images, name, codec, options, seed
 ):
-    """FFmpeg conceals errors and decodes on from concealed pictures; they must not pass as measured."""
+    """FFmpeg conceals errors and continues from concealed frames; these must not pass as measured."""
     whole = film.encode(tmp_path / f"whole_{name}", arm_images, codec=codec, options=options)
     places = film.packet_places(whole)
     hit = int(np.random.default_rng(seed).integers(3, FRAMES - 3))
@@ -108,7 +108,7 @@ def test_mjpeg_loses_only_the_damaged_frame(tmp_path, film, arm_images):
 
 
 def test_frames_lost_with_a_piece_of_matroska_are_noticed(tmp_path, film, arm_images):
-    """A zeroed stretch swallows whole packets; nothing in the file counts frames, but the clock jumps."""
+    """A zeroed range swallows whole packets; nothing in the file counts frames, but the clock jumps."""
     whole = film.encode(tmp_path / "whole.mkv", arm_images, codec="mjpeg", pix_fmt="yuvj420p")
     places = film.packet_places(whole)
     data = bytearray(whole.read_bytes())

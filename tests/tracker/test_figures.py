@@ -90,7 +90,7 @@ def test_any_name_of_a_video_will_do(tmp_path, name):
     write_angle_figure(table, tmp_path / "a.png")
     image = cv2.imread(str(tmp_path / "a.png"))
     assert image.shape == (720, 1440, 3)
-    assert (image[:, -4:] == 255).all()  # nothing runs out of the picture
+    assert (image[:, -4:] == 255).all()  # nothing runs out of the image
 
 
 def test_nothing_of_one_figure_shows_in_the_next(tmp_path):

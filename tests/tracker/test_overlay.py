@@ -43,7 +43,7 @@ def near(image: np.ndarray, at: np.ndarray, colour: tuple[int, ...], reach: int 
 
 
 def test_overlay_of_a_real_video(arm_video, film, tmp_path):
-    """Same frames, same times, playable by browsers; yellow and the end vectors' colours are in the picture."""
+    """Same frames, same times, playable by browsers; yellow and the end vectors' colours are in the image."""
     table = track(arm_video, film.DiscDetector(), AngleDefinition("two-vector", NAMES))
     path = tmp_path / "overlay.mp4"
     seen = []

@@ -175,7 +175,7 @@ def test_up_to_date_by_hashes_and_settings_not_by_existence(tmp_path):
 
 
 def test_interrupted_rewrite_counts_as_stale(tmp_path, monkeypatch):
-    """New HDF5 and CSV beside the old JSON, as a kill between them leaves it."""
+    """New HDF5 and CSV next to the old JSON, as a kill between them leaves it."""
     write_results(make_table(seed=0), tmp_path, "trial")
     real_replace = os.replace
 

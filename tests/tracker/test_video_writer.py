@@ -12,7 +12,7 @@ from bendtrack.tracker.video_writer import VideoWriter
 
 
 def test_written_video_keeps_times_size_and_colours(tmp_path, film):
-    """Odd sizes are padded to even ones; times may be uneven; the index stands in front of the pictures."""
+    """Odd sizes are padded to even ones; times may be uneven; the index precedes the frames."""
     times_s = [0, 0.02, 0.12, 0.153, 0.9]
     images = [film.draw_arm(20 * n, (161, 121), number=n) for n in range(5)]
     path = tmp_path / "out.mp4"

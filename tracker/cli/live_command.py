@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from ...models.detector import NetworkDetector
     from ..angle import AngleDefinition
     from ..live.cameras import CameraMode
-    from ..live.newest_first import LiveSource, LiveValue
+    from ..live.low_latency import LiveSource, LiveValue
     from ..live.output import UdpTarget
     from ..project import Project
 
@@ -78,7 +78,7 @@ def live(
     measured, older ones are passed over, so it never falls behind. A file is played in real time. Ends with Ctrl-C.
     """
     talk.leave_stdout_to_programs()
-    from ..live.newest_first import measure_live
+    from ..live.low_latency import measure_live
     from ..live.output import UdpTarget
     from ..live.sources import open_source
     from ..project import Project
@@ -150,7 +150,7 @@ class _Tally:
         if not self.latency_ms:
             self._first_s = self._last_s
         self.latency_ms.append(value.latency_ms)
-        self._passed_over += value.passed_over
+        self._passed_over += value.dropped
 
     def line(self) -> str:
         import numpy as np

@@ -195,7 +195,7 @@ def _track_one(job: _Job, video: Path, overlay: bool, force: bool) -> str | None
                 video,
                 detector,
                 definition,
-                steady=steady,
+                check_jumps=steady,
                 progress=progress,
                 video_sha256=sha256,
                 **job.options,

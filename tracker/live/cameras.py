@@ -1,4 +1,4 @@
-"""Cameras of this machine: which there are, which one is meant, and how FFmpeg is asked for it."""
+"""Cameras of this machine: listing, choosing, and FFmpeg's options for opening."""
 
 from __future__ import annotations
 
@@ -19,13 +19,21 @@ _INPUTS = {
     "darwin": ("avfoundation", "pixel_format"),
     "win32": ("dshow", "vcodec"),
 }
-# AVFoundation's own default, 29.97, is a rate that most cameras do not have.
+# AVFoundation's default, 29.97, is not supported by most cameras.
 _DARWIN_RATE = "30"
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera: `address` as FFmpeg opens it, `name` as people know it."""
+    """A camera: its `address` for FFmpeg, and its `name` for users.
+
+    Attributes
+    ----------
+    address : str
+        Address for FFmpeg.
+    name : str
+        Name for users.
+    """
 
     address: str
     name: str
@@ -33,13 +41,16 @@ class Camera:
 
 @dataclass(frozen=True)
 class CameraMode:
-    """How a camera is asked to run; None leaves it the choice.
+    """Requested mode of a camera; None leaves the choice to the camera.
 
     Attributes
     ----------
-    size_wh : px
-    rate : frames/s
-    format : as FFmpeg calls it: many cameras are fast only in "mjpeg"
+    size_wh : tuple of (int, int) or None
+        Width and height, px.
+    rate : float or None
+        Frames/s.
+    format : str or None
+        Pixel format or codec in FFmpeg's spelling: many cameras are fast only in "mjpeg".
     """
 
     size_wh: tuple[int, int] | None = None
@@ -48,7 +59,13 @@ class CameraMode:
 
 
 def cameras() -> list[Camera]:
-    """The cameras of this machine, in the order of their numbers."""
+    """The cameras of this machine, in the order of their numbers.
+
+    Returns
+    -------
+    list of Camera
+        The cameras; none where the system cannot list them.
+    """
     format, _ = _input()
     try:
         found = av.enumerate_input_devices(format)
@@ -65,19 +82,31 @@ def cameras() -> list[Camera]:
 def find_camera(wanted: str | None, among: Sequence[Camera]) -> Camera:
     """The camera with a number, device or name (or a part of its name); None takes the first.
 
+    Parameters
+    ----------
+    wanted : str or None
+        A number, device or (part of a) name; None for the first camera.
+    among : sequence of Camera
+        The cameras to choose from.
+
+    Returns
+    -------
+    Camera
+        The camera.
+
     Raises
     ------
     VideoError
-        There is none, or more than one.
+        No camera matches, or more than one.
     """
-    there = "; ".join(f"{_shown_number(place, camera)}: {camera.name}" for place, camera in enumerate(among))
+    there = "; ".join(f"{_shown_number(index, camera)}: {camera.name}" for index, camera in enumerate(among))
     got = f"the cameras here are {there}" if among else "no camera was found"
     if wanted is None:
         if not among:
             raise VideoError("expected a camera, a video file or a URL: no camera was found")
         return among[0]
     if wanted.isdecimal():
-        matches = [c for place, c in enumerate(among) if _shown_number(place, c) == int(wanted)]
+        matches = [c for index, c in enumerate(among) if _shown_number(index, c) == int(wanted)]
     else:
         matches = [c for c in among if wanted.casefold() in (c.name.casefold(), c.address.casefold())]
         matches = matches or [c for c in among if wanted.casefold() in c.name.casefold()]
@@ -88,7 +117,18 @@ def find_camera(wanted: str | None, among: Sequence[Camera]) -> Camera:
 
 
 def is_camera_device(path: str) -> bool:
-    """Whether this is a device of the system, such as /dev/video0."""
+    """Whether a path is a device of the system, such as /dev/video0.
+
+    Parameters
+    ----------
+    path : str
+        A path.
+
+    Returns
+    -------
+    bool
+        Whether it is a character device.
+    """
     try:
         return stat.S_ISCHR(Path(path).stat().st_mode)
     except OSError:
@@ -96,7 +136,20 @@ def is_camera_device(path: str) -> bool:
 
 
 def opening(mode: CameraMode | None) -> tuple[str, dict[str, str]]:
-    """FFmpeg's input and options for a camera in this mode."""
+    """FFmpeg's input and options for a camera in this mode.
+
+    Parameters
+    ----------
+    mode : CameraMode or None
+        Requested mode, None for the camera's own.
+
+    Returns
+    -------
+    format : str
+        FFmpeg's input format.
+    options : dict of str to str
+        FFmpeg's options.
+    """
     format, format_option = _input()
     options = {"framerate": _DARWIN_RATE} if format == "avfoundation" else {}
     if mode is not None:
@@ -113,9 +166,9 @@ def _input() -> tuple[str, str]:
     return _INPUTS.get(sys.platform, _INPUTS["linux"])
 
 
-def _shown_number(place: int, camera: Camera) -> int:
-    """By which a camera is called: that of its device on Linux, elsewhere its place."""
-    return _number(camera.address) if camera.address.startswith("/dev/video") else place
+def _shown_number(index: int, camera: Camera) -> int:
+    """The number of a camera: that of its device on Linux, elsewhere its index in the list."""
+    return _number(camera.address) if camera.address.startswith("/dev/video") else index
 
 
 def _number(address: str) -> int:

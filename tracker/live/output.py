@@ -1,27 +1,43 @@
-"""How live values are told to other programs: a line of text each, to a stream and to a UDP address."""
+"""Live values sent to other programs: one line of text each, to a stream and to a UDP address."""
 
 from __future__ import annotations
 
 import json
 import math
 import socket
+from typing import Any
 
 from ..errors import BendtrackError, reason
-from .newest_first import LiveValue
+from .low_latency import LiveValue
 
-# Decimals; those of an angle table are the same.
+# Decimals, the same as in an angle table.
 _DECIMALS = {"time_s": 6, "angle_deg": 4, "angle_sd_deg": 4, "likelihood": 4, "latency_ms": 2}
 COLUMNS = (
     *("frame", "time_s", "angle_deg", "angle_sd_deg", "likelihood", "flag"),
     *("latency_ms", "passed_over"),
 )
+# Columns whose name in the files differs from the attribute of `LiveValue`.
+_ATTRIBUTES = {"passed_over": "dropped"}
 HEADER = ",".join(COLUMNS)
 """The first line of the CSV."""
 
 
 def line_of(value: LiveValue, format: str) -> str:
-    """A value as a row of CSV or as a JSON object, without the newline. NaN is empty or null."""
-    cells = {name: getattr(value, name) for name in COLUMNS}
+    """A value as a row of CSV or as a JSON object, without the newline. NaN is empty or null.
+
+    Parameters
+    ----------
+    value : LiveValue
+        The value.
+    format : str
+        "csv" or "jsonl".
+
+    Returns
+    -------
+    str
+        One line, with the columns of `COLUMNS`.
+    """
+    cells: dict[str, Any] = {name: getattr(value, _ATTRIBUTES.get(name, name)) for name in COLUMNS}
     for name, decimals in _DECIMALS.items():
         # "+ 0.0": no "-0.000"
         cells[name] = None if math.isnan(cells[name]) else round(cells[name], decimals) + 0.0
@@ -34,16 +50,17 @@ def line_of(value: LiveValue, format: str) -> str:
 
 
 class UdpTarget:
-    """An address that gets each line as a datagram of its own. To be used in a `with` block.
+    """A UDP address to which each line is sent as one datagram. To be used in a `with` block.
 
     Parameters
     ----------
-    address : HOST:PORT, an IPv6 host in brackets
+    address : str
+        HOST:PORT; an IPv6 host is in brackets.
 
     Raises
     ------
     BendtrackError
-        Not an address, or a host that is not known.
+        Not an address, or an unknown host.
     """
 
     def __init__(self, address: str) -> None:
@@ -65,7 +82,12 @@ class UdpTarget:
         self._socket.close()
 
     def send(self, text: str) -> None:
-        """Send one datagram; whether anybody listens is not known.
+        """Send one datagram; UDP does not report whether anything receives it.
+
+        Parameters
+        ----------
+        text : str
+            Contents of the datagram.
 
         Raises
         ------
@@ -75,6 +97,6 @@ class UdpTarget:
         try:
             self._socket.sendto(text.encode(), self._found[4])
         except ConnectionError:
-            pass  # nobody listens yet
+            pass  # no receiver yet
         except OSError as error:
             raise BendtrackError(f"--udp: cannot send to {self._name} ({reason(error)})") from error

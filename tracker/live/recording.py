@@ -1,4 +1,4 @@
-"""Values measured live, kept to become an ordinary angle table."""
+"""Live values collected into an ordinary angle table."""
 
 from __future__ import annotations
 
@@ -12,16 +12,18 @@ import numpy as np
 from ..angle import AngleDefinition
 from ..results import AngleTable, json_ready
 from ..types import Flag
-from .newest_first import LiveValue
+from .low_latency import LiveValue
 
 
 class Recording:
-    """Rows of an angle table, one for every frame of the source; those passed over have a time and a flag.
+    """Rows of an angle table, one for every frame of the source; dropped frames have a time and a flag only.
 
     Parameters
     ----------
-    keypoints : names, in the order of the detector's arrays
-    definition : which angle was measured
+    keypoints : sequence of str
+        K names, in the order of the detector's arrays.
+    definition : AngleDefinition
+        Which angle was measured.
     """
 
     def __init__(self, keypoints: Sequence[str], definition: AngleDefinition) -> None:
@@ -31,9 +33,15 @@ class Recording:
         self._flag: list[Flag] = []
 
     def add(self, value: LiveValue) -> None:
-        """Keep a value, and the times of the frames passed over for it."""
+        """Keep a value, and the times of the frames dropped before that value.
+
+        Parameters
+        ----------
+        value : LiveValue
+            The next value of the source.
+        """
         k = len(self._keypoints)
-        for time_s in value.passed_over_s:
+        for time_s in value.dropped_s:
             self._numbers.extend([time_s, *[np.nan] * (2 + 7 * k)])
             self._flag.append(Flag.PASSED_OVER)
         self._numbers.extend([value.time_s, value.angle_deg, value.angle_sd_deg])
@@ -48,27 +56,38 @@ class Recording:
         settings: Mapping[str, Any],
         warnings: Sequence[str] = (),
     ) -> AngleTable:
-        """The table of what was kept.
+        """The angle table of all values kept.
 
         Parameters
         ----------
-        source : what was filmed with
-        settings : as `tracking.tracking_settings` gives them
+        source : str
+            Name of the camera, file or stream.
+        detector_provenance : mapping of str to Any
+            `Detector.provenance` of the detector.
+        settings : mapping of str to Any
+            Settings from `tracking.tracking_settings`.
+        warnings : sequence of str, optional
+            Notes for the user, a line each.
+
+        Returns
+        -------
+        AngleTable
+            One row for every frame of the source.
         """
         t, k = len(self._flag), len(self._keypoints)
         rows = np.array(self._numbers).reshape(t, 3 + 7 * k)
         time_s, angle_deg, angle_sd_deg = rows[:, :3].T
         xy, likelihood, covariance = np.split(rows[:, 3:], [2 * k, 3 * k], axis=1)
-        passed_over = sum(flag == Flag.PASSED_OVER for flag in self._flag)
+        n_dropped = sum(flag == Flag.PASSED_OVER for flag in self._flag)
         provenance = {
             "bendtrack": version("bendtrack"),
-            # No hash: what was measured live never counts as the tracked table of a file.
+            # No hash: a live recording never counts as the tracked table of a file.
             "video": {
                 "name": source,
                 "sha256": None,
                 "live": True,
                 "frames": t,
-                "frames_passed_over": passed_over,
+                "frames_passed_over": n_dropped,
             },
             "detector": detector_provenance,
             "settings": settings,

@@ -1,4 +1,4 @@
-"""Where live frames come from: a file played in real time, a URL, a camera (found in `cameras.py`)."""
+"""Sources of live frames: a file played in real time, a URL, a camera (found in `cameras.py`)."""
 
 from __future__ import annotations
 
@@ -17,32 +17,39 @@ from ..container import Orientation, orientation
 from ..errors import VideoError, reason
 from ..video import Frame, Video
 from .cameras import Camera, CameraMode, cameras, find_camera, is_camera_device, opening
-from .newest_first import Arrival, LiveSource
+from .low_latency import Arrival, LiveSource
 
 _OPEN_S = 10.0
 _SILENCE_S = 5.0
 
 # A playlist that a camera serves must not reach for files of this machine.
 _PROTOCOLS = ("http", "https", "rtmp", "rtmps", "rtp", "rtsp", "rtsps", "srt", "tcp", "udp")
-_BENEATH = ("crypto", "hls", "httpproxy", "tls")
-# Servers of recordings send as fast as they can; those of other protocols keep time themselves.
-_HURRIED = ("http", "https")
-# What was read to find out what it is, is old by then; of a recording it is the beginning.
-_FORGET_BEGINNING = {"fflags": "nobuffer"}
+_TRANSPORTS = ("crypto", "hls", "httpproxy", "tls")
+# Servers of recordings send as fast as they can; other protocols send in real time.
+_AS_FAST_AS_POSSIBLE = ("http", "https")
+# Frames buffered while FFmpeg probes a live stream are outdated; those of a recording are its beginning, and kept.
+_NO_PROBE_BUFFER = {"fflags": "nobuffer"}
 
 
 def open_source(wanted: str | None, mode: CameraMode | None = None) -> LiveSource:
-    """The file, URL or camera that is meant.
+    """Open the file, URL or camera that the user names.
 
     Parameters
     ----------
-    wanted : path of a video, URL, a camera's number, device or name; None takes the first camera
-    mode : how a camera is to run; only cameras can be told
+    wanted : str or None
+        Path of a video, URL, or a camera's number, device or name; None takes the first camera.
+    mode : CameraMode or None, optional
+        Requested mode of a camera; not allowed for files and URLs.
+
+    Returns
+    -------
+    LiveSource
+        The opened source.
 
     Raises
     ------
     VideoError
-        There is no such thing, it cannot be opened, or it is not video.
+        No such source, it cannot be opened, or it is not video.
     """
     if wanted is not None and is_camera_device(wanted):
         return Stream.from_camera(Camera(wanted, wanted), mode)
@@ -64,7 +71,12 @@ def _camera(wanted: str | None) -> Camera:
 
 
 class PlayedFile:
-    """A video file, each frame given out when its presentation time has come, as a camera would.
+    """A video file played in real time: each frame is delivered at its presentation time.
+
+    Parameters
+    ----------
+    path : Path
+        The video file.
 
     Raises
     ------
@@ -82,17 +94,45 @@ class PlayedFile:
 
     @property
     def warnings(self) -> list[str]:
-        """What is wrong with the file (see `Video`)."""
+        """Problems of the file (see `Video`)."""
         return self._video.warnings
 
     def arrivals(self, begin: threading.Event, stop: threading.Event) -> Iterator[Arrival]:
-        """Frames in real time (see `LiveSource`)."""
+        """Frames in real time (see `LiveSource`).
+
+        Parameters
+        ----------
+        begin, stop : threading.Event
+            As in `LiveSource.arrivals`.
+
+        Returns
+        -------
+        iterator of Arrival
+            The frames.
+        """
         begin.wait()
         yield from _in_real_time(self._video, stop)
 
 
 class Stream:
-    """A camera or a URL, opened and running."""
+    """A camera or a URL, opened and running.
+
+    Parameters
+    ----------
+    address : str
+        What FFmpeg opens: a URL, or the address of a camera.
+    name : str
+        Name for messages.
+    format : str or None
+        FFmpeg's input format of a camera, None for a URL.
+    options : mapping of str to str
+        FFmpeg's options.
+
+    Raises
+    ------
+    VideoError
+        It cannot be opened, or holds no video.
+    """
 
     def __init__(self, address: str, name: str, format: str | None, options: Mapping[str, str]) -> None:
         self.name = name
@@ -111,25 +151,35 @@ class Stream:
             raise VideoError(f"{name}: expected video, got a source without any that can be decoded")
         self._stream = streams[0]
         context = self._stream.codec_context
-        context.thread_count = 1  # every further one would hold a frame back
+        context.thread_count = 1  # each further thread would delay by one frame
         context.flags |= CodecFlags.low_delay
         self.size_wh = (context.width, context.height)
         if not all(self.size_wh):
             self._container.close()
-            raise VideoError(f"{name}: delivers no picture")
+            raise VideoError(f"{name}: delivers no frame")
         rate = self._stream.average_rate or self._stream.guessed_rate
         self.rate = float(rate) if rate else None
-        # Of a mere row of pictures FFmpeg makes up the times, as if they came at a constant rate.
+        # For formats without timestamps FFmpeg invents times at a constant rate.
         no_times = int(FormatFlags.no_timestamps.value)  # type: ignore[call-overload] # PyAV's stub errs
         self._has_times = not self._container.format.flags & no_times
         is_device = format is not None
         self._has_end = self._container.duration is not None and not is_device
-        self._is_hurried = self._has_end and _protocol(address) in _HURRIED
-        self.silence_s = None if self._is_hurried else _SILENCE_S
+        self._needs_pacing = self._has_end and _protocol(address) in _AS_FAST_AS_POSSIBLE
+        self.silence_s = None if self._needs_pacing else _SILENCE_S
 
     @classmethod
     def from_url(cls, url: str) -> Stream:
         """A stream or a recording on the network.
+
+        Parameters
+        ----------
+        url : str
+            URL with one of the supported protocols.
+
+        Returns
+        -------
+        Stream
+            The opened stream.
 
         Raises
         ------
@@ -139,9 +189,9 @@ class Stream:
         protocol = _protocol(url)
         if protocol not in _PROTOCOLS:
             raise VideoError(f"{url}: expected a URL that begins with {', '.join(_PROTOCOLS)}")
-        options = {"protocol_whitelist": ",".join((*_PROTOCOLS, *_BENEATH))}
-        if protocol not in _HURRIED:
-            options |= _FORGET_BEGINNING
+        options = {"protocol_whitelist": ",".join((*_PROTOCOLS, *_TRANSPORTS))}
+        if protocol not in _AS_FAST_AS_POSSIBLE:
+            options |= _NO_PROBE_BUFFER
         if protocol.startswith("rtsp"):
             # By UDP, a lost packet would damage all frames up to the next key frame.
             options["rtsp_flags"] = "prefer_tcp"
@@ -149,7 +199,19 @@ class Stream:
 
     @classmethod
     def from_camera(cls, camera: Camera, mode: CameraMode | None = None) -> Stream:
-        """A camera, in its own mode or in the one asked for.
+        """A camera, in its own mode or in the requested one.
+
+        Parameters
+        ----------
+        camera : Camera
+            The camera.
+        mode : CameraMode or None, optional
+            Requested mode, None for the camera's own.
+
+        Returns
+        -------
+        Stream
+            The opened camera.
 
         Raises
         ------
@@ -157,18 +219,29 @@ class Stream:
             It cannot be opened (in use, not permitted, not in this mode).
         """
         format, options = opening(mode)
-        return cls(camera.address, f"camera {camera.name}", format, options | _FORGET_BEGINNING)
+        return cls(camera.address, f"camera {camera.name}", format, options | _NO_PROBE_BUFFER)
 
     def arrivals(self, begin: threading.Event, stop: threading.Event) -> Iterator[Arrival]:
-        """Frames as they come; of a recording that a server sends at once, in real time (see `LiveSource`)."""
-        with self._container:
-            if self._is_hurried:
-                begin.wait()
-                yield from _in_real_time((arrival.frame for arrival in self._as_they_come(begin)), stop)
-            else:
-                yield from self._as_they_come(begin)
+        """Frames as they arrive; a recording that a server sends faster is paced to real time (see `LiveSource`).
 
-    def _as_they_come(self, begin: threading.Event) -> Iterator[Arrival]:
+        Parameters
+        ----------
+        begin, stop : threading.Event
+            As in `LiveSource.arrivals`.
+
+        Returns
+        -------
+        iterator of Arrival
+            The frames.
+        """
+        with self._container:
+            if self._needs_pacing:
+                begin.wait()
+                yield from _in_real_time((arrival.frame for arrival in self._on_arrival(begin)), stop)
+            else:
+                yield from self._on_arrival(begin)
+
+    def _on_arrival(self, begin: threading.Event) -> Iterator[Arrival]:
         index = 0
         origin: Arrival | None = None
         for arrival in self._decoded():
@@ -176,26 +249,26 @@ class Stream:
                 continue
             origin = origin or arrival
             time_s = arrival.frame.time_s - origin.frame.time_s
-            if math.isnan(time_s):  # without presentation times, the clock on the wall
+            if math.isnan(time_s):  # without presentation times: the time of arrival
                 time_s = arrival.at_s - origin.at_s
             yield Arrival(replace(arrival.frame, index=index, time_s=time_s), arrival.at_s)
             index += 1
 
     def _decoded(self) -> Iterator[Arrival]:
-        """All frames, their `time_s` the presentation time as it stands, NaN without."""
+        """All frames; `time_s` is the raw presentation time, NaN where there is none."""
         turn: Orientation | None = None
         damaged = False  # since a frame that could not be decoded, up to the next key frame
-        for at_s, stamp_s, picture in self._pictures():
-            if picture is None or picture.key_frame:
-                damaged = picture is None
-            if picture is not None and turn is None:
-                turn, _, _ = orientation(picture)
+        for at_s, stamp_s, frame in self._av_frames():
+            if frame is None or frame.key_frame:
+                damaged = frame is None
+            if frame is not None and turn is None:
+                turn, _, _ = orientation(frame)
             yield Arrival(
-                Frame(0, stamp_s, picture, turn or Orientation(), damaged and picture is not None), at_s
+                Frame(0, stamp_s, frame, turn or Orientation(), damaged and frame is not None), at_s
             )
 
-    def _pictures(self) -> Iterator[tuple[float, float, av.VideoFrame | None]]:
-        """When each packet came, its presentation time in s, and its picture, None if it could not be decoded."""
+    def _av_frames(self) -> Iterator[tuple[float, float, av.VideoFrame | None]]:
+        """Arrival time of each packet, its presentation time in s, and its frame, None if it could not be decoded."""
         packets = self._container.demux(self._stream)
         while True:
             try:
@@ -208,9 +281,9 @@ class Stream:
                 raise VideoError(f"{self.name}: stopped delivering frames ({reason(error)})") from error
             at_s = time.perf_counter()
             try:
-                for picture in self._stream.codec_context.decode(packet):
-                    stamp_s = self._stamp_s(picture)
-                    yield at_s, stamp_s, None if picture.is_corrupt else picture
+                for frame in self._stream.codec_context.decode(packet):
+                    stamp_s = self._stamp_s(frame)
+                    yield at_s, stamp_s, None if frame.is_corrupt else frame
             except av.EOFError:
                 break
             except av.FFmpegError:
@@ -229,7 +302,7 @@ def _protocol(url: str) -> str:
 
 
 def _in_real_time(frames: Iterable[Frame], stop: threading.Event) -> Iterator[Arrival]:
-    """Frames when their time has come, which is then when they count as captured."""
+    """Frames at their presentation times, which count as the times of capture."""
     start_s: float | None = None
     for frame in frames:
         if start_s is None:

@@ -1,11 +1,11 @@
-"""A study's trials in, all its numbers out as tidy tables: one row a cycle, a trial, a stair, a comparison.
+"""A study's trials in, all its numbers out as tidy tables: one row per cycle, trial, stair or comparison.
 
-What the numbers are is defined in `dynamic.py`, `static.py`, `control.py` and `comparison.py`. Drawing and writing
-them is elsewhere.
+The numbers are defined in `dynamic.py`, `static.py`, `control.py` and `comparison.py`. They are drawn and written
+elsewhere.
 
 Columns. A value with an interval is three columns, `x`, `x_low` and `x_high`; `x_sd` is its standard uncertainty.
-Units end the names (`_deg`, `_kpa`, `_s`); shares, ratios and `nrmse` have none and are fractions. NaN is a number
-that the data cannot carry; `warnings`, or a `reason` or `refused` beside it, says why.
+Units end the names (`_deg`, `_kpa`, `_s`); ratios, relative changes and `nrmse` have none. NaN is a number
+that the data do not support; `warnings`, or the column `reason` or `refused`, says why.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ from .intervals import NAN, Estimate
 from .static import Stair, StaticNumbers, measure_static
 from .trial import Kind, TrialData
 
-# A measured wave that is this share off what the study file says is told.
-_NOMINAL_SHARE = 0.1
+# A measured wave whose frequency or pressure differs from the study file's by this fraction gets a warning.
+_NOMINAL_FRACTION = 0.1
 
 
 @dataclass(frozen=True)
@@ -46,19 +46,32 @@ class StudyResults:
 
     Attributes
     ----------
-    cycles : one row a complete cycle of a dynamic trial; `used`, and the `reason` where it is not
-    dynamic : one row a dynamic trial
-    static_steps : one row a stair
-    static : one row a static trial: model against measurement
-    control : one row a trial with a reference wave: tracking error of the pressure
-    constant_angle : hysteresis ratio of each design and of the baseline at one angle, or why it is refused
-    improvements : each design against the baseline, dynamic response at each pressure and ratio at each angle
-    ranking : designs from best to worst under each condition; `apart_from_next` after Holm's correction
-    pairwise : every difference of two designs; `p_holm` corrects for all pairs under the same condition
-    loops : (N, 2) kPa and deg of every cycle that could be measured, by trial
-    warnings : columns trial, warning
-    confidence : of all intervals
-    baseline : the design that improvements refer to, or None
+    cycles : DataFrame
+        One row a complete cycle of a dynamic trial; `used`, and the `reason` where it is not.
+    dynamic : DataFrame
+        One row a dynamic trial.
+    static_steps : DataFrame
+        One row a stair.
+    static : DataFrame
+        One row a static trial: model against measurement.
+    control : DataFrame
+        One row a trial with a reference wave: tracking error of the pressure.
+    constant_angle : DataFrame
+        Hysteresis ratio of each design and of the baseline at one angle, or why it is refused.
+    improvements : DataFrame
+        Each design against the baseline, dynamic response at each pressure and ratio at each angle.
+    ranking : DataFrame
+        Designs from best to worst under each condition; `apart_from_next` after Holm's correction.
+    pairwise : DataFrame
+        Every difference of two designs; `p_holm` corrects for all pairs under the same condition.
+    loops : dict of str to list of ndarray of float
+        (N, 2) kPa and deg of every cycle that could be measured, by trial.
+    warnings : DataFrame
+        Columns trial, warning.
+    confidence : float
+        Confidence level of all intervals.
+    baseline : str or None
+        The design that improvements refer to, or None.
     """
 
     cycles: pd.DataFrame
@@ -87,10 +100,19 @@ def analyse_study(
 
     Parameters
     ----------
-    trials : each is used once and not kept
-    baseline : design that the improvements refer to; None for no improvements
-    confidence : of the intervals, between 0 and 1
-    angles_deg : where hysteresis ratios are compared; None for the multiples of 5 degrees that both designs reach
+    trials : iterable of TrialData
+        Trials, each read once and not kept.
+    baseline : str or None
+        Design that the improvements refer to; None for no improvements.
+    confidence : float, optional
+        Confidence level of the intervals, between 0 and 1.
+    angles_deg : sequence of float or None, optional
+        Angles at which hysteresis ratios are compared; None for the multiples of 5 degrees that both designs reach.
+
+    Returns
+    -------
+    StudyResults
+        All tables of the study.
 
     Raises
     ------
@@ -99,7 +121,7 @@ def analyse_study(
     """
     if not 0 < confidence < 1:
         raise BendtrackError(f"expected a confidence between 0 and 1, got {confidence:g}")
-    gathered = _Gathered(confidence)
+    gathered = _TableRows(confidence)
     for trial in trials:
         gathered.add(trial)
     if not gathered.names:
@@ -110,7 +132,6 @@ def analyse_study(
         )
     points = gathered.points
     compared = [] if baseline is None else improvements(points, baseline, angles_deg)
-    under = conditions(points, angles_deg)
     improved = _table(Improvement, compared, confidence)
     under = conditions(points, angles_deg)
     ranks = [rank for condition in under for rank in ranking(points, condition, confidence)]
@@ -136,8 +157,8 @@ def analyse_study(
     )
 
 
-class _Gathered:
-    """Rows of the tables, as the trials come in."""
+class _TableRows:
+    """Rows of the tables, collected trial by trial."""
 
     def __init__(self, confidence: float) -> None:
         self.confidence = confidence
@@ -175,7 +196,7 @@ class _Gathered:
         self.cycles += [self._row(trial, cycle) for cycle in numbers.cycles]
         clock = (trial.shift.method, trial.shift.delay_s, trial.shift_sd_s, trial.frame_s)
         self.dynamic.append({**self._row(trial, numbers), **dict(zip(_CLOCK_COLUMNS, clock, strict=True))})
-        # As measured where the study file does not say; rounded, so that like trials stay together.
+        # As measured where the study file does not say; rounded, so that equal trials are grouped.
         measured_hz = _rounded(1 / numbers.period_s)
         frequency_hz = measured_hz if trial.frequency_hz is None else trial.frequency_hz
         if math.isfinite(frequency_hz):
@@ -207,8 +228,8 @@ class _Gathered:
 _TRIAL_COLUMNS = ("trial", "design", "kind", "frequency_hz", "pressure_pp_kpa")
 _CLOCK_COLUMNS = ("shift_method", "shift_delay_s", "shift_sd_s", "frame_s")
 _INTERVAL = ("", "_low", "_high", "_sd")
-# What is no number: it has a table or a place of its own.
-_APART = ("cycles", "loops", "stairs", "warnings")
+# Fields that are no numbers: they have a table of their own.
+_NOT_COLUMNS = ("cycles", "loops", "stairs", "warnings")
 
 
 def _columns(kind: type) -> list[str]:
@@ -219,7 +240,7 @@ def _columns(kind: type) -> list[str]:
             found += _columns(Condition)
         elif field.type == "Estimate":
             found += [field.name + ending for ending in _INTERVAL]
-        elif field.name not in _APART:
+        elif field.name not in _NOT_COLUMNS:
             found.append(field.name)
     return found
 
@@ -234,7 +255,7 @@ def _flat(numbers: Any, confidence: float) -> dict[str, Any]:
         elif isinstance(value, Estimate):
             spread = (value.value, *value.interval(confidence), value.sd)
             row.update(zip([field.name + ending for ending in _INTERVAL], spread, strict=True))
-        elif field.name not in _APART:
+        elif field.name not in _NOT_COLUMNS:
             row[field.name] = value
     return row
 
@@ -251,14 +272,14 @@ def _constant_angle(improved: pd.DataFrame) -> pd.DataFrame:
 
 
 def _off_nominal(trial: TrialData, numbers: DynamicNumbers) -> list[str]:
-    """What the wave is, where it is not what the study file says."""
+    """Warnings where the measured wave differs from the study file's."""
     found = []
     checks = (
         ("frequency", trial.frequency_hz, 1 / numbers.period_s if numbers.period_s else NAN, "Hz"),
         ("peak-to-peak pressure", trial.pressure_pp_kpa, numbers.amplitude_kpa, "kPa"),
     )
     for name, nominal, measured, unit in checks:
-        if nominal and abs(measured - nominal) > _NOMINAL_SHARE * nominal:
+        if nominal and abs(measured - nominal) > _NOMINAL_FRACTION * nominal:
             found.append(f"the {name} is {measured:.3g} {unit}, the study file says {nominal:g} {unit}")
     return found
 

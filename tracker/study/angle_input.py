@@ -28,10 +28,14 @@ class Angles:
 
     Attributes
     ----------
-    time_s : (T,) rising
-    angle_deg, angle_sd_deg : (T,) NaN in gaps; the sd also where a table does not say
-    warnings : a line each
-    provenance : JSON-ready
+    time_s : ndarray of float
+        (T,) rising.
+    angle_deg, angle_sd_deg : ndarray of float
+        (T,) degrees, NaN in gaps; the sd also where the table has none.
+    warnings : tuple of str
+        Warnings, a line each.
+    provenance : dict of str to Any
+        JSON-ready.
     """
 
     time_s: FloatArray
@@ -44,8 +48,20 @@ class Angles:
 def read_angles(path: str | Path, keep_flagged: Sequence[str] = ()) -> Angles:
     """Read an angle table: .csv, .h5 or .json of `bendtrack track`, or a CSV with columns time_s and angle_deg.
 
-    A plain CSV may also have angle_sd_deg and flag; its fields are parted by commas, or by semicolons with decimal
-    commas. Flagged rows become gaps, but for the flags in `keep_flagged`.
+    A plain CSV may also have angle_sd_deg and flag; its fields are separated by commas, or by semicolons with decimal
+    commas. Flagged rows become gaps, except for the flags in `keep_flagged`.
+
+    Parameters
+    ----------
+    path : str or Path
+        The angle table.
+    keep_flagged : sequence of str, optional
+        Flags of rows whose angle is used.
+
+    Returns
+    -------
+    Angles
+        The angles, with gaps as NaN.
 
     Raises
     ------
@@ -70,7 +86,7 @@ def read_angles(path: str | Path, keep_flagged: Sequence[str] = ()) -> Angles:
     unflagged = int((np.isnan(angle) & (flag == Flag.NONE.value)).sum())
     if unflagged:
         warnings.append(f"angles: {unflagged} of {len(angle)} rows have no angle: gaps")
-    # A time that does not rise would put one frame in two places.
+    # Times must rise: resampling needs a unique time for each frame.
     rises = time_s > np.concatenate([[-np.inf], np.fmax.accumulate(time_s)[:-1]])
     if not rises.all():
         warnings.append(f"angles: {(~rises).sum()} rows whose time does not rise were left out")
@@ -85,12 +101,24 @@ def read_angles(path: str | Path, keep_flagged: Sequence[str] = ()) -> Angles:
 def find_table(results: Path, video: Path) -> Path:
     """The angle table of a video in a folder of results, or in a project's.
 
-    Where several videos of that name were tracked, the video's own content decides.
+    Where several videos of that name were tracked, the video's SHA-256 decides.
+
+    Parameters
+    ----------
+    results : Path
+        Folder of results, or of a project.
+    video : Path
+        The video file, which need not exist.
+
+    Returns
+    -------
+    Path
+        Path of the table.
 
     Raises
     ------
     StudyError
-        No such folder, no table, or several and no way to tell.
+        No such folder, no table, or several tables that may be the video's.
     """
     folder = results / "results" if (results / SETTINGS_FILE).is_file() else results
     if not folder.is_dir():
@@ -139,11 +167,11 @@ def _plain_csv(
 ) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.str_], dict[str, Any]]:
     try:
         with open(path, encoding="utf-8-sig") as file:
-            german = ";" in file.readline()
+            has_semicolons = ";" in file.readline()
         frame = pd.read_csv(
             path,
-            sep=";" if german else ",",
-            decimal="," if german else ".",
+            sep=";" if has_semicolons else ",",
+            decimal="," if has_semicolons else ".",
             encoding="utf-8-sig",
             index_col=False,
         )

@@ -1,7 +1,7 @@
-"""The angle at the turns of the pressure, without the bias that the largest noisy frame has.
+"""The angle at the turns of the pressure, without the bias of the largest noisy frame.
 
-The largest of many noisy angles lies above the truth, and the frame nearest a turn lies beside it. So the angle is
-read where the branches before and after a turn meet. Where the pressure turns is `corner.py`.
+The largest of many noisy angles lies above the truth, and no frame lies exactly at a turn. So the angle is read
+where the branches before and after a turn meet. The pressure's turns are found in `turning_points.py`.
 """
 
 from __future__ import annotations
@@ -11,21 +11,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..types import FloatArray
-from .corner import TurningPressure
+from .turning_points import TurningPressure
 
-# The branches are fitted with polynomials over a share of the pressure's range next to the turn: order, share, and
-# the frames that each branch must have there. The first that describes the frames is taken, else the
-# one nearest to them.
+# Polynomials fitted to the branches next to a turn: order, fraction of the pressure's range, least frames of each
+# branch there. The first fit that is adequate is taken, else the one with the smallest residual.
 _BRANCHES = ((4, 0.7, 24), (4, 0.4, 16), (3, 0.25, 8), (3, 0.5, 7), (2, 0.15, 4), (1, 0.1, 4), (2, 0.35, 4))
-# It does where the frames lie around it as they do around their neighbours, but for this factor in variance and
-# this share of the angle's range.
-_ADEQUATE, _MISFIT_SHARE = 1.2, 0.002
+# A fit is adequate where the residual variance is at most this factor times the frames' noise variance, plus a
+# misfit of this fraction of the angle's range.
+_ADEQUATE, _MISFIT_FRACTION = 1.2, 0.002
 # How late the angle's turn may come against the pressure's, as a standard deviation in frames: clock shift and lag.
 _LAG_FRAMES = 2.0
-# Within this many frames of a turn the pressure's corner is told by the curve through the log.
+# Within this many frames of a turn the pressure is that of the curve fitted through the log.
 _CORNER_FRAMES = 1.5
 _STEPS = 3
-# The angle goes on beyond the meeting where the frames there say so by this many standard deviations.
+# An extreme beyond the branches' intersection is accepted where the frames there exceed it by so many sd.
 _CLEAR_SD = 4.0
 
 
@@ -35,9 +34,12 @@ class TurningAngle:
 
     Attributes
     ----------
-    deg : (C,) of each cycle; NaN where a branch has too few frames near the turn
-    common_sd_deg : standard uncertainty that all of them share, because they share a lag and a turning pressure
-    misfit_deg : how far off the frames the branches lie where none describes them (RMS); else 0
+    deg : ndarray of float
+        (C,) degrees, for each cycle; NaN where a branch has too few frames near the turn.
+    common_sd_deg : float
+        Standard uncertainty that all of them share, because they share a lag and a turning pressure.
+    misfit_deg : float
+        RMS distance of the frames from the branches, beyond noise, where no fit is adequate; else 0.
     """
 
     deg: FloatArray
@@ -56,18 +58,26 @@ def turning_angle(
     """Angle at the turns: where the branches before and after each meet, as functions of pressure.
 
     Both branches are polynomials of the pressure's distance from the turning pressure with one common value
-    there. Two more things, the same for all turns, are fitted along, each held near 0 by what is known of it:
+    there. Two more things, the same for all turns, are fitted as well, each with a Gaussian prior around 0:
 
-    - by how much the angle's turn comes late: a clock's shift or the material's lag moves the branches apart and
-      with them the place where they meet, so a wrong shift does not bias the angle (what is found so stays here,
-      it is no estimate of the clocks' shift);
-    - by how much the pressure's corner is off.
+    - the delay of the angle's turn: a clock shift or the material's lag moves the branches and their intersection,
+      so with the delay fitted a wrong shift does not bias the angle (the fitted delay is not used elsewhere, it is
+      no estimate of the clocks' shift);
+    - the error of the turning pressure.
 
     Parameters
     ----------
-    time_s, angle_deg, pressure_kpa, rate_kpa_s : (T,) frames; NaN where missing
-    turning : the turns of this kind
-    bounds_s : (C, 2) from which time to which the frames belong to each turn
+    time_s, angle_deg, pressure_kpa, rate_kpa_s : ndarray of float
+        (T,) time, angle, pressure and its slope of the frames; NaN where missing.
+    turning : TurningPressure
+        The pressure's turns of this kind (peaks or troughs).
+    bounds_s : ndarray of float
+        (C, 2) s, begin and end of the frames that belong to each turn.
+
+    Returns
+    -------
+    TurningAngle
+        The angles, NaN where they cannot be estimated.
     """
     known = np.isfinite(angle_deg) & np.isfinite(pressure_kpa) & np.isfinite(rate_kpa_s)
     frames = (time_s[known], angle_deg[known], pressure_kpa[known], rate_kpa_s[known])
@@ -76,18 +86,18 @@ def turning_angle(
     if known.sum() < 3:
         return found
     noise_deg = frame_noise_deg(angle_deg[known])
-    allowed = _ADEQUATE * noise_deg**2 + (_MISFIT_SHARE * float(np.ptp(angle_deg[known]))) ** 2
+    allowed = _ADEQUATE * noise_deg**2 + (_MISFIT_FRACTION * float(np.ptp(angle_deg[known]))) ** 2
     least = float("inf")
-    for order, share, fewest in _BRANCHES:
-        meetings = _meetings(*frames, turning, bounds_s, frame_s, order, share, fewest)
-        if meetings is None:
+    for order, fraction, min_frames in _BRANCHES:
+        intersections = _intersections(*frames, turning, bounds_s, frame_s, order, fraction, min_frames)
+        if intersections is None:
             continue
-        angle, variance = _fitted(meetings, len(bounds_s), frame_s)
+        angle, variance = _fitted(intersections, len(bounds_s), frame_s)
         if variance < least:
             found, least = angle, variance
         if variance <= allowed:
             return angle
-    # What the branches miss, the angle where they meet may miss too.
+    # A misfit of the branches may shift their intersection as much.
     misfit_deg = max(least - noise_deg**2, 0.0) ** 0.5
     return replace(
         found, misfit_deg=misfit_deg, common_sd_deg=float(np.hypot(found.common_sd_deg, misfit_deg))
@@ -95,29 +105,40 @@ def turning_angle(
 
 
 def frame_noise_deg(angle_deg: FloatArray) -> float:
-    """Noise of one frame's angle, from how much frames leave the line through their neighbours."""
+    """Noise (sd) of one frame's angle, from its distance to the line through the neighbouring frames, deg.
+
+    Parameters
+    ----------
+    angle_deg : ndarray of float
+        (T,) degrees, without NaN.
+
+    Returns
+    -------
+    float
+        Standard deviation, degrees; NaN with fewer than three frames.
+    """
     if angle_deg.size < 3:
         return float("nan")
     return 1.4826 * float(np.median(np.abs(np.diff(angle_deg, n=2)))) / 6**0.5
 
 
-def _fitted(meetings: _Meetings, count: int, frame_s: float) -> tuple[TurningAngle, float]:
-    """The angles of `count` turns, and the variance of the frames around the branches, deg^2."""
-    corner_sd = meetings.turning.common_sd_kpa
+def _fitted(intersections: _Intersections, count: int, frame_s: float) -> tuple[TurningAngle, float]:
+    """The angles of `count` turns, and the residual variance of the frames, deg^2."""
+    corner_sd = intersections.turning.common_sd_kpa
     sd = np.array([_LAG_FRAMES * frame_s, max(corner_sd if np.isfinite(corner_sd) else 0.0, 1e-6)])
     common = np.zeros(2)  # lag in s, corner in kPa
     for _ in range(_STEPS):
-        fit = meetings.linearised(common, sd)
-        variance = max(float(np.sum(fit.residual**2)) / max(meetings.freedom, 1), 1e-12)
-        left = fit.left.reshape(-1, 2)
-        covariance = np.linalg.inv(left.T @ left / variance + np.diag(sd**-2))
-        step = covariance @ (left.T @ fit.residual.ravel() / variance - common / sd**2)
+        fit = intersections.linearised(common, sd)
+        variance = max(float(np.sum(fit.residual**2)) / max(intersections.degrees_of_freedom, 1), 1e-12)
+        jacobian = fit.by_common_residual.reshape(-1, 2)
+        covariance = np.linalg.inv(jacobian.T @ jacobian / variance + np.diag(sd**-2))
+        step = covariance @ (jacobian.T @ fit.residual.ravel() / variance - common / sd**2)
         common = common + step
     values_deg = np.full(count, np.nan)
-    beyond_deg = meetings.beyond_deg(common, fit.coefficients, variance)
-    values_deg[meetings.places] = fit.value_deg + fit.by_common @ step + beyond_deg
+    beyond_deg = intersections.beyond_deg(common, fit.coefficients, variance)
+    values_deg[intersections.indices] = fit.value_deg + fit.by_common @ step + beyond_deg
     by_common = fit.by_common.mean(axis=0)
-    unseen_deg = float(by_common[1]) * meetings.turning.unseen_kpa
+    unseen_deg = float(by_common[1]) * intersections.turning.unseen_kpa
     return TurningAngle(
         values_deg, float(np.sqrt(by_common @ covariance @ by_common + unseen_deg**2))
     ), variance
@@ -125,36 +146,40 @@ def _fitted(meetings: _Meetings, count: int, frame_s: float) -> tuple[TurningAng
 
 @dataclass(frozen=True)
 class _Fit:
-    """Fits of all turns for a given lag and corner, and what a change of the two does to them.
+    """Fits of all turns for a given lag and corner error, linearised in the two.
 
     Attributes
     ----------
-    coefficients : (C, parameters) of the branches
-    by_common : (C, 2) derivatives of the angle where they meet by lag and corner
-    residual : (C, N) of the frames
-    left : (C, N, 2) what lag and corner do to the frames and the branches cannot follow
+    coefficients : ndarray of float
+        (C, parameters) polynomial coefficients of the branches.
+    by_common : ndarray of float
+        (C, 2) derivatives of the angle at the intersection with respect to lag and corner error.
+    residual : ndarray of float
+        (C, N) degrees, of the frames.
+    by_common_residual : ndarray of float
+        (C, N, 2) derivatives of the residual with respect to lag and corner error.
     """
 
     coefficients: FloatArray
     by_common: FloatArray
     residual: FloatArray
-    left: FloatArray
+    by_common_residual: FloatArray
 
     @property
     def value_deg(self) -> FloatArray:
-        """(C,) the angle where the branches meet."""
+        """(C,) the angle at the branches' intersection, degrees."""
         return self.coefficients[:, 0]
 
 
 @dataclass(frozen=True)
-class _Meetings:
-    """The frames of two branches that meet, for each turn: all (C, N), filled up with frames of weight 0."""
+class _Intersections:
+    """The frames of the two branches at each turn: all (C, N), padded with frames of weight 0."""
 
-    places: np.ndarray  # (C,) which turns these are
+    indices: np.ndarray  # (C,) indices of these turns
     weight: FloatArray
     late_s: FloatArray  # after the pressure's turn
     angle_deg: FloatArray
-    off_kpa: FloatArray  # pressure less the turn's
+    off_kpa: FloatArray  # pressure minus that of the turn
     rate_kpa_s: FloatArray
     turning: TurningPressure
     range_kpa: FloatArray  # (C, 1)
@@ -162,8 +187,8 @@ class _Meetings:
     frame_s: float
 
     @property
-    def freedom(self) -> int:
-        return int(self.weight.sum()) - len(self.places) * (1 + 2 * self.order)
+    def degrees_of_freedom(self) -> int:
+        return int(self.weight.sum()) - len(self.indices) * (1 + 2 * self.order)
 
     def linearised(self, common: FloatArray, sd: FloatArray) -> _Fit:
         lag_s, corner_kpa = common
@@ -181,41 +206,41 @@ class _Meetings:
             coefficients=coefficients[..., 0],
             by_common=-followed[:, 0],
             residual=self.angle_deg - fitted[..., 0],
-            left=by_common - design @ followed,
+            by_common_residual=by_common - design @ followed,
         )
 
     def beyond_deg(self, common: FloatArray, coefficients: FloatArray, variance: float) -> FloatArray:
-        """(C,) how far the angle goes on beyond where the branches meet: it may, where the material lags.
+        """(C,) how far the angle goes beyond the intersection, degrees: a lagging material turns later.
 
-        Looked for on the median of the turns' branches, at one place for all. 0 where the frames there do not go
-        that far themselves: a polynomial may bend where they do not.
+        The extreme is located once, on the median of all turns' branches. 0 where the frames there do not reach
+        it: a polynomial may overshoot them.
         """
         count = self.order
-        # To which side of the turn the frames' pressures lie; all on it are no branch.
+        # Side of the turn on which the frames' pressures lie.
         away = -1.0 if np.sum(self.off_kpa) < 0 else 1.0
         x = away * np.linspace(0, 0.5, 51)[1:]
         powers = x[:, None] ** np.arange(1, count + 1)
         gain = np.concatenate(
             [coefficients[:, 1 : 1 + count] @ powers.T, coefficients[:, 1 + count :] @ powers.T], axis=1
         )
-        middle = np.median(gain, axis=0)  # a branch that is all rest bends as it likes
-        # The turn is a largest angle where the angle falls away from it, else a smallest one.
+        middle = np.median(gain, axis=0)  # robust against branches that consist of rest only
+        # The turn is a maximum of the angle where the angle falls away from it, else a minimum.
         sign = 1.0 if middle[x.size - 1] + middle[-1] < 0 else -1.0
-        place = int(np.argmax(sign * middle))
-        after, at = divmod(place, x.size)
-        share = self._powers(*common)[..., 1 + after * count] / x[at]  # of the way to there
-        near = (share > 0.5) & (share < 1.5)
+        index = int(np.argmax(sign * middle))
+        after, at = divmod(index, x.size)
+        fraction = self._powers(*common)[..., 1 + after * count] / x[at]  # of the way to there
+        near = (fraction > 0.5) & (fraction < 1.5)
         seen = sign * (self.angle_deg - coefficients[:, :1])[near]
         if seen.size < 2 or seen.mean() < max(
-            _CLEAR_SD * (variance / seen.size) ** 0.5, 0.5 * sign * middle[place]
+            _CLEAR_SD * (variance / seen.size) ** 0.5, 0.5 * sign * middle[index]
         ):
             return np.zeros(len(gain))
-        best = gain[:, place]
-        off = np.abs(best - middle[place])
-        return np.where(off > 5 * 1.4826 * np.median(off), middle[place], best)
+        best = gain[:, index]
+        off = np.abs(best - middle[index])
+        return np.where(off > 5 * 1.4826 * np.median(off), middle[index], best)
 
     def _powers(self, lag_s: float, corner_kpa: float) -> FloatArray:
-        """(C, N, parameters) powers of the distance in pressure, for each branch apart."""
+        """(C, N, parameters) powers of the distance in pressure, separate for each branch."""
         late = self.late_s - lag_s
         off = self.turning.off_kpa(late)
         off = np.where(np.isfinite(off), off, self.off_kpa - lag_s * self.rate_kpa_s)
@@ -232,7 +257,7 @@ class _Meetings:
         return design
 
 
-def _meetings(
+def _intersections(
     time_s: FloatArray,
     angle_deg: FloatArray,
     pressure_kpa: FloatArray,
@@ -241,10 +266,10 @@ def _meetings(
     bounds_s: FloatArray,
     frame_s: float,
     order: int,
-    share: float,
-    fewest: int,
-) -> _Meetings | None:
-    """The frames next to each turn; None where too few turns have them: half of those that could be told at all."""
+    fraction: float,
+    min_frames: int,
+) -> _Intersections | None:
+    """The frames next to each turn; None where fewer than half of the usable turns have enough frames."""
     first, last = np.searchsorted(time_s, bounds_s[:, 0]), np.searchsorted(time_s, bounds_s[:, 1])
     width = int((last - first).max(initial=0))
     if width == 0:
@@ -256,28 +281,30 @@ def _meetings(
     off = pressure_kpa[index] - turning.kpa[:, None]
     reach = np.where(inside, np.abs(off), 0).max(axis=1, keepdims=True)
 
-    def frames_near(share: float) -> tuple[np.ndarray, np.ndarray]:
-        """(C, N) the frames within a share of the range, and (C,) how many the poorer branch has of them."""
-        near = inside & (np.abs(off) <= share * reach) & np.isfinite(off) & (np.abs(late) >= turning.blind_s)
+    def frames_near(fraction: float) -> tuple[np.ndarray, np.ndarray]:
+        """(C, N) the frames within a fraction of the range, and (C,) their number in the branch with fewer."""
+        near = (
+            inside & (np.abs(off) <= fraction * reach) & np.isfinite(off) & (np.abs(late) >= turning.blind_s)
+        )
         before = (near & (late < 0)).sum(axis=1)
         return near, np.minimum(before, near.sum(axis=1) - before)
 
-    _, plainest, least = _BRANCHES[-1]
-    possible = int((frames_near(plainest)[1] >= least).sum())
-    chosen, poorer = frames_near(share)
-    enough = poorer >= fewest
+    _, last_share, last_min_frames = _BRANCHES[-1]
+    possible = int((frames_near(last_share)[1] >= last_min_frames).sum())
+    chosen, fewer = frames_near(fraction)
+    enough = fewer >= min_frames
     if not enough.any() or 2 * enough.sum() < possible:
         return None
     weight = chosen[enough].astype(float)
-    return _Meetings(
-        places=np.flatnonzero(enough),
+    return _Intersections(
+        indices=np.flatnonzero(enough),
         weight=weight,
         late_s=late[enough],
         angle_deg=angle_deg[index][enough] * weight,
         off_kpa=np.where(chosen, off, 0.0)[enough],
         rate_kpa_s=rate_kpa_s[index][enough],
         turning=turning,
-        range_kpa=share * reach[enough],
+        range_kpa=fraction * reach[enough],
         order=order,
         frame_s=frame_s,
     )

@@ -1,6 +1,6 @@
-"""Designs beside each other: at one angle, at one pressure, against the baseline, in order, and every pair.
+"""Designs compared: at one angle, at one pressure, against the baseline, ranked, and in pairs.
 
-Trials' values come from `dynamic.py`. Trials count as independent of each other, their clocks' shifts too.
+The trials' values come from `dynamic.py`. Trials are taken as independent, their clock shifts included.
 """
 
 from __future__ import annotations
@@ -14,13 +14,27 @@ import numpy as np
 
 from .intervals import NAN, Estimate, combined, holm_adjusted
 
-# Where no angles are asked for, designs are compared at the multiples of this that both reach.
+# Without given angles, designs are compared at the multiples of this that both reach.
 _ANGLE_STEP_DEG = 5.0
 
 
 @dataclass(frozen=True)
 class TrialPoint:
-    """What a dynamic trial brings to the comparison."""
+    """Values of a dynamic trial that enter the comparison.
+
+    Attributes
+    ----------
+    trial, design : str
+        Names of the trial and of its design.
+    frequency_hz : float
+        Frequency of the wave, Hz.
+    pressure_pp_kpa : float
+        Nominal peak-to-peak pressure, kPa.
+    dynamic_response_deg : Estimate
+        Largest bending angle, degrees.
+    hysteresis_ratio : Estimate
+        The paper's ratio, 0 to 1.
+    """
 
     trial: str
     design: str
@@ -32,7 +46,19 @@ class TrialPoint:
 
 @dataclass(frozen=True)
 class Condition:
-    """What is held the same: the wave's frequency, and either a pressure or an angle (the other is NaN)."""
+    """A condition of comparison: the wave's frequency, and either a pressure or an angle (the other is NaN).
+
+    Attributes
+    ----------
+    metric : str
+        "dynamic_response_deg" or "hysteresis_ratio".
+    frequency_hz : float
+        Frequency of the wave, Hz.
+    pressure_pp_kpa : float
+        Peak-to-peak pressure, kPa; NaN for a condition at one angle.
+    angle_deg : float
+        Largest angle, degrees; NaN for a condition at one pressure.
+    """
 
     metric: str
     frequency_hz: float
@@ -41,6 +67,7 @@ class Condition:
 
     @property
     def higher_is_better(self) -> bool:
+        """Whether a larger value is the better one (dynamic response) or a smaller one (hysteresis ratio)."""
         return self.metric == "dynamic_response_deg"
 
 
@@ -50,6 +77,19 @@ class Improvement:
 
     `improvement` is (new - original) / original for the dynamic response and (original - new) / original for the
     hysteresis ratio: above 0 is better.
+
+    Attributes
+    ----------
+    condition : Condition
+        The condition.
+    design, baseline : str
+        Names of the two designs.
+    design_value, baseline_value : Estimate
+        Values of the two designs under the condition.
+    improvement : Estimate
+        Fraction of the baseline's value.
+    refused : str
+        Reason why there is no improvement, else empty.
     """
 
     condition: Condition
@@ -63,7 +103,21 @@ class Improvement:
 
 @dataclass(frozen=True)
 class Difference:
-    """Design a less design b under one condition. `p_holm` is adjusted over all pairs under the condition."""
+    """Design a minus design b under one condition. `p_holm` is adjusted over all pairs under the condition.
+
+    Attributes
+    ----------
+    condition : Condition
+        The condition.
+    design_a, design_b : str
+        Names of the two designs.
+    difference : Estimate
+        Value of a minus value of b.
+    p_value : float
+        Two-sided p-value of the difference.
+    p_holm : float
+        The same after Holm's correction.
+    """
 
     condition: Condition
     design_a: str
@@ -75,9 +129,22 @@ class Difference:
 
 @dataclass(frozen=True)
 class Rank:
-    """A design's place under one condition, 1 the best. `apart_from_next`: it differs from the next.
+    """A design's rank under one condition, 1 the best. `apart_from_next`: it differs from the next.
 
     None for the last, and where the uncertainty is not known.
+
+    Attributes
+    ----------
+    condition : Condition
+        The condition.
+    rank : int
+        From 1, the best.
+    design : str
+        Name of the design.
+    value : Estimate
+        Its value under the condition.
+    apart_from_next : bool or None
+        Whether the difference to the next design is significant.
     """
 
     condition: Condition
@@ -91,12 +158,21 @@ def ratio_at_angle(points: Sequence[TrialPoint], angle_deg: float) -> tuple[Esti
     """Hysteresis ratio of one design at one frequency, at an angle between its trials' largest angles.
 
     Piecewise linear in the largest angle (the study's constant-angle comparison), with the uncertainty of the
-    ratios and of the angles of the two trials beside it.
+    ratios and angles of the two trials between which it is interpolated.
+
+    Parameters
+    ----------
+    points : sequence of TrialPoint
+        Trials of one design at one frequency.
+    angle_deg : float
+        Largest angle, degrees.
 
     Returns
     -------
-    ratio : NaN where refused
-    refused : the reason, empty where the ratio is given
+    ratio : Estimate
+        NaN where refused.
+    refused : str
+        The reason for a refusal, empty where the ratio is given.
     """
     nodes = sorted(_nodes(points), key=lambda node: node[0].value)
     if not nodes:
@@ -105,19 +181,19 @@ def ratio_at_angle(points: Sequence[TrialPoint], angle_deg: float) -> tuple[Esti
     if len(nodes) == 1 or not angles[0] <= angle_deg <= angles[-1]:
         reach = f"{angles[0]:.1f} deg only" if len(nodes) == 1 else f"{angles[0]:.1f} to {angles[-1]:.1f} deg"
         return Estimate(NAN), f"its trials reach {reach}, not {angle_deg:g} deg"
-    place = min(max(int(np.searchsorted(angles, angle_deg)), 1), len(nodes) - 1)
-    (angle_a, ratio_a), (angle_b, ratio_b) = nodes[place - 1], nodes[place]
-    way = angle_b.value - angle_a.value
-    if not way > 0:
+    index = min(max(int(np.searchsorted(angles, angle_deg)), 1), len(nodes) - 1)
+    (angle_a, ratio_a), (angle_b, ratio_b) = nodes[index - 1], nodes[index]
+    step = angle_b.value - angle_a.value
+    if not step > 0:
         return combined((ratio_a.value + ratio_b.value) / 2, [(0.5, ratio_a), (0.5, ratio_b)]), ""
-    share = (angle_deg - angle_a.value) / way
-    slope = (ratio_b.value - ratio_a.value) / way
-    value = (1 - share) * ratio_a.value + share * ratio_b.value
+    fraction = (angle_deg - angle_a.value) / step
+    slope = (ratio_b.value - ratio_a.value) / step
+    value = (1 - fraction) * ratio_a.value + fraction * ratio_b.value
     parts = [
-        (1 - share, ratio_a),
-        (share, ratio_b),
-        (-slope * (1 - share), angle_a),
-        (-slope * share, angle_b),
+        (1 - fraction, ratio_a),
+        (fraction, ratio_b),
+        (-slope * (1 - fraction), angle_a),
+        (-slope * fraction, angle_b),
     ]
     return combined(value, [(weight, part) for weight, part in parts if weight != 0]), ""
 
@@ -129,6 +205,20 @@ def improvements(
 
     `angles_deg` None: at the multiples of 5 degrees that both reach. A comparison that cannot be made is listed
     with its reason.
+
+    Parameters
+    ----------
+    points : sequence of TrialPoint
+        All dynamic trials.
+    baseline : str
+        Name of the baseline design.
+    angles_deg : sequence of float or None, optional
+        Angles at which ratios are compared, degrees.
+
+    Returns
+    -------
+    list of Improvement
+        One entry per design and condition.
     """
     found: list[Improvement] = []
     for frequency, here in _by_frequency(points):
@@ -150,9 +240,21 @@ def improvements(
 
 
 def conditions(points: Sequence[TrialPoint], angles_deg: Sequence[float] | None = None) -> list[Condition]:
-    """Under which designs are ranked and compared in pairs: every pressure, and angles at every frequency.
+    """Conditions of the ranking and the pairwise comparison: every pressure, and angles at every frequency.
 
     `angles_deg` None: the multiple of 5 degrees that most designs reach, the largest if there are several.
+
+    Parameters
+    ----------
+    points : sequence of TrialPoint
+        All dynamic trials.
+    angles_deg : sequence of float or None, optional
+        Angles at which ratios are compared, degrees.
+
+    Returns
+    -------
+    list of Condition
+        The conditions, by frequency.
     """
     found: list[Condition] = []
     for frequency, here in _by_frequency(points):
@@ -163,7 +265,22 @@ def conditions(points: Sequence[TrialPoint], angles_deg: Sequence[float] | None 
 
 
 def value_under(points: Sequence[TrialPoint], condition: Condition) -> tuple[Estimate, str]:
-    """One design's value under a condition, and why there is none; repeated trials are averaged."""
+    """One design's value under a condition, or the reason why there is none; repeated trials are averaged.
+
+    Parameters
+    ----------
+    points : sequence of TrialPoint
+        Trials of one design.
+    condition : Condition
+        The condition.
+
+    Returns
+    -------
+    value : Estimate
+        NaN where there is none.
+    refused : str
+        The reason for it, else empty.
+    """
     here = [point for point in points if point.frequency_hz == condition.frequency_hz]
     if condition.metric == "hysteresis_ratio":
         return ratio_at_angle(here, condition.angle_deg)
@@ -179,7 +296,20 @@ def value_under(points: Sequence[TrialPoint], condition: Condition) -> tuple[Est
 
 
 def differences(points: Sequence[TrialPoint], condition: Condition) -> list[Difference]:
-    """Every pair of designs that both have a value under the condition; Holm's correction over these pairs."""
+    """Every pair of designs that both have a value under the condition; Holm's correction over these pairs.
+
+    Parameters
+    ----------
+    points : sequence of TrialPoint
+        All dynamic trials.
+    condition : Condition
+        The condition.
+
+    Returns
+    -------
+    list of Difference
+        One entry per pair.
+    """
     values = _values(points, condition)
     pairs = list(combinations(values, 2))
     found = [combined(values[a].value - values[b].value, [(1, values[a]), (1, values[b])]) for a, b in pairs]
@@ -191,15 +321,30 @@ def differences(points: Sequence[TrialPoint], condition: Condition) -> list[Diff
 
 
 def ranking(points: Sequence[TrialPoint], condition: Condition, confidence: float) -> list[Rank]:
-    """Designs from best to worst; two neighbours are apart where their Holm-adjusted p-value says so."""
+    """Designs from best to worst; neighbours differ significantly where their Holm-adjusted p-value is small.
+
+    Parameters
+    ----------
+    points : sequence of TrialPoint
+        All dynamic trials.
+    condition : Condition
+        The condition.
+    confidence : float
+        Confidence level, 0 to 1; differences are tested at 1 - `confidence`.
+
+    Returns
+    -------
+    list of Rank
+        One entry per design, the best first.
+    """
     values = _values(points, condition)
     order = sorted(values, key=lambda design: values[design].value, reverse=condition.higher_is_better)
     adjusted = {frozenset((d.design_a, d.design_b)): d.p_holm for d in differences(points, condition)}
     ranks = []
-    for place, design in enumerate(order):
-        p = adjusted[frozenset((design, order[place + 1]))] if place + 1 < len(order) else NAN
+    for index, design in enumerate(order):
+        p = adjusted[frozenset((design, order[index + 1]))] if index + 1 < len(order) else NAN
         apart = None if math.isnan(p) else p < 1 - confidence
-        ranks.append(Rank(condition, place + 1, design, values[design], apart))
+        ranks.append(Rank(condition, index + 1, design, values[design], apart))
     return ranks
 
 
@@ -220,16 +365,16 @@ def _improvement(
     refused = "; ".join(
         f"{name}: {reason}" for name, reason in ((design, new_refused), (baseline, old_refused)) if reason
     )
-    share = Estimate(NAN)
+    improvement = Estimate(NAN)
     if not refused and not old.value > 0:
         refused = f"{baseline}: its value is {old.value:g}, not above 0"
     if not refused:
         sign = 1 if condition.higher_is_better else -1
-        share = combined(
+        improvement = combined(
             sign * (new.value - old.value) / old.value,
             [(1 / old.value, new), (new.value / old.value**2, old)],
         )
-    return Improvement(condition, design, baseline, new, old, share, refused)
+    return Improvement(condition, design, baseline, new, old, improvement, refused)
 
 
 def _nodes(points: Iterable[TrialPoint]) -> list[tuple[Estimate, Estimate]]:
@@ -248,7 +393,7 @@ def _nodes(points: Iterable[TrialPoint]) -> list[tuple[Estimate, Estimate]]:
 
 
 def _averaged(values: Sequence[Estimate]) -> Estimate:
-    """Mean of trials under the same condition; their spread counts where it is more than each one's own says."""
+    """Mean of trials under the same condition; its uncertainty is the larger of the trials' own and their spread."""
     if len(values) == 1:
         return values[0]
     mean = float(np.mean([value.value for value in values]))
@@ -292,7 +437,7 @@ def _reach(points: Iterable[TrialPoint]) -> str:
 
 
 def _angles(own: Sequence[TrialPoint], original: Sequence[TrialPoint]) -> list[float]:
-    """Multiples of 5 degrees that both reach; NaN alone where there is none, so that it can be said."""
+    """Multiples of 5 degrees that both reach; [NaN] where there is none, so that the refusal is listed."""
     (low_a, high_a), (low_b, high_b) = _reached(own), _reached(original)
     low, high = max(low_a, low_b), min(high_a, high_b)
     return _multiples(low, high) or [NAN]

@@ -1,6 +1,6 @@
-"""Text tables of any make to columns: delimiter, decimal comma, header, units, written dates are found out.
+"""Text tables of any make to columns: delimiter, decimal comma, header, units and written dates are detected.
 
-What the columns mean is settled in `log_columns.py` and `pressure_log.py`.
+The meaning of the columns is determined in `log_columns.py` and `pressure_log.py`.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _CLOCK_FORMATS = (
 
 @dataclass(frozen=True)
 class _Layout:
-    """How a text is a table: its delimiter and decimal sign, its first line of numbers, its fields a line."""
+    """Layout of a text table: delimiter, decimal sign, first line of numbers, fields per line."""
 
     delimiter: str
     decimal: str
@@ -46,11 +46,23 @@ class _Layout:
 
 
 def csv_columns(path: Path) -> tuple[list[LogColumn], list[str]]:
-    """Columns of a text table, and what was worked around in reading it.
+    """Columns of a text table, and warnings about what was worked around.
 
-    Delimiter (tab, semicolon, comma, bar, blanks) and decimal sign are those by which most fields are numbers.
+    Delimiter (tab, semicolon, comma, bar, blanks) and decimal sign are chosen so that most fields are numbers.
     The line before the first line of numbers holds the names; where that line holds only units, the one before it.
     Without a header the columns are called "1", "2", ...
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    columns : list of LogColumn
+        Columns with a name or a number in them.
+    warnings : list of str
+        A line each.
 
     Raises
     ------
@@ -95,7 +107,7 @@ def _is_number(field: str, decimal: str) -> bool:
 
 
 def _layout(lines: Sequence[str], path: Path) -> _Layout:
-    """The reading of the first lines by which most fields are numbers or dates, the fewest anything else."""
+    """The layout by which most fields of the first lines are numbers or dates, and the fewest anything else."""
     best: tuple[tuple[int, int], _Layout] | None = None
     for delimiter in _DELIMITERS:
         for decimal in (".",) if delimiter == "," else (".", ","):
@@ -136,12 +148,12 @@ def _first_line(lines: Sequence[str], delimiter: str, decimal: str) -> tuple[int
 def _header(lines: Sequence[str], layout: _Layout, path: Path) -> tuple[list[str], list[str | None]]:
     above = [line for line in lines[: layout.first] if line.strip()][-2:]
     rows = [_fields(re.sub(r"^\s*[#%]+\s*", "", line), layout.delimiter) for line in above]
-    # Names with blanks in them, over columns parted by blanks, may be parted otherwise.
+    # Names that contain blanks, over columns separated by blanks, may have another delimiter.
     if layout.delimiter == " " and above and len(rows[-1]) != layout.n_fields:
         rows[-1] = next((f for d in "\t;,|" if len(f := _fields(above[-1], d)) == layout.n_fields), rows[-1])
     if not rows:
         return [str(n) for n in range(1, layout.n_fields + 1)], [None] * layout.n_fields
-    # A trailing delimiter makes an empty field more, in the header or in the rows.
+    # A trailing delimiter adds an empty field, in the header or in the rows.
     for row in rows:
         while len(row) > layout.n_fields and not row[-1]:
             row.pop()
@@ -167,13 +179,13 @@ def _header(lines: Sequence[str], layout: _Layout, path: Path) -> tuple[list[str
 
 
 def _cells(lines: Sequence[str], layout: _Layout, path: Path) -> tuple[pd.DataFrame, list[str]]:
-    """The cells under the header as pandas reads them, and a word about lines that do not fit."""
+    """The cells under the header as pandas reads them, and a warning about lines that do not fit."""
     body = list(filter(None, lines[layout.first :]))
     try:
         cells = pd.read_csv(
             io.StringIO("\n".join(body)),
             header=None,
-            # One more than there should be, which catches lines that are too long.
+            # One column more than expected, which catches lines that are too long.
             names=list(range(layout.n_fields + 1)),
             index_col=False,
             sep=r"\s+" if layout.delimiter == " " else layout.delimiter,
@@ -210,7 +222,7 @@ def _column(name: str, unit: str | None, cells: pd.Series, layout: _Layout) -> t
         values, is_clock = pd.to_numeric(text, errors="coerce").to_numpy(dtype=float), False
     lost = filled & ~np.isfinite(values) & ~text.str.lower().isin(["nan", "inf", "-inf"]).to_numpy()
     warning = None
-    if lost.any() and not lost[filled].all():  # a column of words is not of interest
+    if lost.any() and not lost[filled].all():  # a column of text is not of interest
         what = "dates" if is_clock else "numbers"
         warning = f"column '{name}': {lost.sum()} cells are no {what}, the first '{text[int(lost.argmax())]}'"
     return LogColumn(name, unit, values, is_clock), warning

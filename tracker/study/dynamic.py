@@ -1,4 +1,4 @@
-"""One dynamic trial: what every cycle measures, which cycles count, and the trial's values with their intervals.
+"""One dynamic trial: the numbers of every cycle, which cycles are used, and the trial's values with their intervals.
 
 Loops and numbers of the cycles come from `measured_cycles.py`.
 """
@@ -17,13 +17,13 @@ from .intervals import NAN, Estimate, combined, line_through, mean_of, student_q
 from .measured_cycles import MeasuredCycles, measure_cycles
 from .trial import TrialData
 
-# The first cycle is set apart where the others' spread makes it less likely than this; three numbers are looked at.
+# The first cycle is excluded below this p-value under the others' spread (Bonferroni over three numbers).
 _APART_P = 0.01 / 3
-# A drift over the cycles is taken for one where chance makes it less likely than this.
+# A drift over the cycles is significant below this p-value.
 _DRIFT_P = 0.01
-# Pressure this far below 0, as a share of the largest, leaves the paper's rectangle; so does an angle.
-_BELOW_SHARE = 0.05
-# A largest angle under so many of its standard deviations is no movement.
+# Pressure further below 0 than this fraction of the largest leaves the paper's rectangle.
+_BELOW_FRACTION = 0.05
+# A largest angle below so many of its standard deviations is no movement.
 _MOVED_SD = 3.0
 # Pressures at which cycles are compared, on either branch.
 _LEVELS = 50
@@ -32,10 +32,43 @@ _APART = "differs from the cycles after it"
 
 @dataclass(frozen=True)
 class CycleNumbers:
-    """What one complete cycle measures. NaN with a reason where it cannot.
+    """The numbers of one complete cycle; NaN, with a reason, where it is not usable.
 
     `number` counts complete cycles from 1 on; `reason` says why a cycle is not used (empty where it is).
     The ratio's rectangle is the trial's (the paper's definition), the extremes' is the cycle's own.
+
+    Attributes
+    ----------
+    number : int
+        Number of the complete cycle, from 1.
+    used : bool
+        Whether the cycle enters the trial's values.
+    reason : str
+        Why it does not, else empty.
+    start_s, turn_s, end_s : float
+        Begin, largest pressure and end, s.
+    period_s : float
+        Duration, s.
+    frames : int
+        Number of frames.
+    missing_frames : int
+        Frames without an angle or a pressure.
+    longest_gap_s : float
+        Longest time without such a frame, s.
+    pressure_min_kpa, pressure_max_kpa : float
+        Pressure at the end and at the turn, kPa.
+    largest_angle_deg : float
+        Angle at the turn, degrees.
+    residual_angle_deg : float
+        Angle at the end, degrees.
+    hysteresis_deg_kpa : float
+        Area of the loop, deg kPa.
+    hysteresis_ratio : float
+        Area over the trial's rectangle to the axes.
+    hysteresis_ratio_extremes : float
+        Area over the rectangle of the cycle's own extremes.
+    mid_width_deg : float
+        Width of the loop at mid pressure, degrees.
     """
 
     number: int
@@ -64,18 +97,40 @@ class DynamicNumbers:
 
     Attributes
     ----------
-    cycles : one entry a complete cycle
-    loops : (N, 2) kPa and deg of each cycle that is used, and of a first one that is set apart
-    cycles_used : their numbers
-    first_cycle_apart : the first cycle differs from the others and is left out
-    period_s, amplitude_kpa, phase_s : of the pressure wave
-    largest_pressure_kpa, dynamic_response_deg : sides of the paper's rectangle
-    ratio_per_frame_shift : what the ratio gains if every angle gets the pressure of one frame later (a delay that
-        is one frame less)
-    repeatability_deg : RMS over both branches of the spread (sd) between cycles of the angle at one pressure; noise
-        of a frame is part of it
-    repeatability_hysteresis : spread (sd) of the cycles' areas over their mean
-    largest_angle_drift_deg, residual_angle_drift_deg : slope over the cycles, deg per cycle
+    cycles : tuple of CycleNumbers
+        One entry for each complete cycle.
+    loops : tuple of ndarray of float
+        (N, 2) kPa and deg of each cycle used, and of a first cycle that is excluded.
+    cycles_used : tuple of int
+        Numbers of the cycles used.
+    first_cycle_apart : bool
+        The first cycle differs from the others and is excluded.
+    period_s, amplitude_kpa, phase_s : float
+        Period, peak-to-peak amplitude and begin of the pressure wave.
+    largest_pressure_kpa, dynamic_response_deg : Estimate
+        Sides of the paper's rectangle.
+    hysteresis_deg_kpa : Estimate
+        Cumulative hysteresis: area of the loop.
+    hysteresis_ratio : Estimate
+        The paper's ratio: area over the rectangle to the axes.
+    hysteresis_ratio_extremes : Estimate
+        Area over the rectangle of the loop's own extremes.
+    mid_width_deg : Estimate
+        Width of the loop at mid pressure.
+    residual_angle_deg : Estimate
+        Angle at the end of a cycle.
+    largest_angle_drift_deg, residual_angle_drift_deg : Estimate
+        Slope over the cycles, deg per cycle.
+    ratio_per_frame_shift : float
+        Change of the ratio if every angle is assigned the pressure of one frame later (a delay one
+        frame smaller).
+    repeatability_deg : float
+        RMS over both branches of the spread (sd) between cycles of the angle at one pressure; the
+        noise of a frame is included.
+    repeatability_hysteresis : float
+        Spread (sd) of the cycles' areas over their mean.
+    warnings : tuple of str
+        One sentence each.
     """
 
     cycles: tuple[CycleNumbers, ...]
@@ -104,18 +159,28 @@ def measure_dynamic(trial: TrialData) -> DynamicNumbers:
     """Cycles, per-cycle and trial values of a dynamic trial.
 
     A trial's value is the mean over the cycles used, with a Student interval over them; the uncertainty of the
-    clocks' shift and of what all angles share is added. The dynamic response is the mean of the cycles' largest
+    clocks' shift and the angles' common uncertainty are added. The dynamic response is the mean of the cycles' largest
     angles too, unless they drift: then it is the larger end of the line through them, and a warning says so.
+
+    Parameters
+    ----------
+    trial : TrialData
+        The trial.
+
+    Returns
+    -------
+    DynamicNumbers
+        The numbers; NaN with warnings where they cannot be given.
     """
     train = find_cycles(trial.log_time_s, trial.log_pressure_kpa)
     warnings = [*train.warnings, *train.incomplete]
     if not train.start_s.size:
-        return _nothing(train, warnings)
+        return _no_values(train, warnings)
     if not np.any(np.isfinite(trial.pressure_kpa) & np.isfinite(trial.angle_deg)):
-        return _nothing(train, [*warnings, "no frame has both an angle and a pressure"])
+        return _no_values(train, [*warnings, "no frame has both an angle and a pressure"])
     measured = measure_cycles(trial, train)
     reasons = list(measured.refusals)
-    warnings += [f"cycle {place} is not used: {reason}" for place, reason in enumerate(reasons, 1) if reason]
+    warnings += [f"cycle {index} is not used: {reason}" for index, reason in enumerate(reasons, 1) if reason]
     used = np.array([not reason for reason in reasons])
     first_apart = bool(used[0]) and _first_differs(measured, used)
     if first_apart:
@@ -125,8 +190,8 @@ def measure_dynamic(trial: TrialData) -> DynamicNumbers:
             "the first cycle differs from the others: it is reported apart and left out of the means"
         )
     if not used.any():
-        cycles = tuple(_cycle_numbers(measured, place, reason, NAN) for place, reason in enumerate(reasons))
-        return _nothing(train, [*warnings, "no cycle can be used"], cycles)
+        cycles = tuple(_cycle_numbers(measured, index, reason, NAN) for index, reason in enumerate(reasons))
+        return _no_values(train, [*warnings, "no cycle can be used"], cycles)
     if used.sum() == 1:
         warnings.append("one cycle is used: there is no spread over cycles, hence no interval")
     return _values(trial, measured, _Used.of(measured, used), reasons, warnings)
@@ -134,12 +199,12 @@ def measure_dynamic(trial: TrialData) -> DynamicNumbers:
 
 @dataclass(frozen=True)
 class _Used:
-    """The cycles that count: arrays over them, and which of all cycles they are."""
+    """The cycles used: arrays over them, and which of all cycles they are."""
 
-    chosen: np.ndarray  # (C,) of all cycles
+    chosen: np.ndarray  # (C,) mask over all cycles
     number: FloatArray  # from 1 on
-    tops_kpa: FloatArray
-    feet_kpa: FloatArray
+    peaks_kpa: FloatArray
+    troughs_kpa: FloatArray
     largest_deg: FloatArray
     residual_deg: FloatArray
     areas: FloatArray
@@ -150,8 +215,8 @@ class _Used:
         return cls(
             chosen=used,
             number=np.flatnonzero(used) + 1.0,
-            tops_kpa=measured.tops.kpa[used],
-            feet_kpa=measured.feet.kpa[used],
+            peaks_kpa=measured.peaks.kpa[used],
+            troughs_kpa=measured.troughs.kpa[used],
             largest_deg=measured.largest.deg[used],
             residual_deg=measured.residual.deg[used],
             areas=measured.areas_deg_kpa[used],
@@ -176,10 +241,12 @@ def _values(
 ) -> DynamicNumbers:
     shift = Estimate(0.0, trial.shift_sd_s)
     shared_deg = Estimate(0.0, trial.angle_common_sd_deg)
-    tops = mean_of(used.tops_kpa)
-    pressure = combined(tops.value, [(1, tops), (1, _known(measured.tops.common_sd_kpa))])
+    peaks = mean_of(used.peaks_kpa)
+    pressure = combined(peaks.value, [(1, peaks), (1, _component(measured.peaks.common_sd_kpa))])
     drift, peak, largest_deg = _peak(used)
-    common_deg = _known(math.hypot(_known(measured.largest.common_sd_deg).sd, trial.angle_common_sd_deg))
+    common_deg = _component(
+        math.hypot(_component(measured.largest.common_sd_deg).sd, trial.angle_common_sd_deg)
+    )
     response = combined(peak.value, [(1, peak), (1, common_deg)])
     area = mean_of(used.areas)
     ratio = _ratio(measured, used, pressure, response, largest_deg, common_deg, shift, warnings)
@@ -197,7 +264,7 @@ def _values(
         cycles_used=tuple(int(number) for number in used.number),
         first_cycle_apart=apart,
         period_s=measured.train.period_s,
-        amplitude_kpa=float(np.mean(used.tops_kpa - used.feet_kpa)),
+        amplitude_kpa=float(np.mean(used.peaks_kpa - used.troughs_kpa)),
         phase_s=measured.train.phase_s,
         largest_pressure_kpa=pressure,
         dynamic_response_deg=response,
@@ -206,19 +273,19 @@ def _values(
         hysteresis_ratio_extremes=_extremes(used, whole, shift),
         mid_width_deg=_width(measured, used, shift),
         residual_angle_deg=combined(
-            residual.value, [(1, residual), (1, _known(measured.residual.common_sd_deg)), (1, shared_deg)]
+            residual.value, [(1, residual), (1, _component(measured.residual.common_sd_deg)), (1, shared_deg)]
         ),
         largest_angle_drift_deg=drift,
         residual_angle_drift_deg=residual_drift,
         ratio_per_frame_shift=used.area_by_shift * trial.frame_s / rectangle,
         repeatability_deg=_repeatability_deg(measured, used),
-        repeatability_hysteresis=_share_spread(used.areas),
+        repeatability_hysteresis=_relative_spread(used.areas),
         warnings=tuple(warnings),
     )
 
 
 def _peak(used: _Used) -> tuple[Estimate, Estimate, FloatArray]:
-    """Drift of the largest angle, the dynamic response, and the cycles' largest angles freed of a drift."""
+    """Drift of the largest angle, the dynamic response, and the cycles' largest angles without the drift."""
     if used.number.size < 4:
         return Estimate(NAN), mean_of(used.largest_deg), used.largest_deg
     drift, _ = line_through(used.number, used.largest_deg, 0.0)
@@ -240,8 +307,8 @@ def _ratio(
     warnings: list[str],
 ) -> Estimate:
     """The paper's hysteresis ratio; NaN, and a warning, where its rectangle does not hold the loop."""
-    lowest_kpa = float(used.feet_kpa.mean())
-    if not pressure.value > 0 or lowest_kpa < -_BELOW_SHARE * pressure.value:
+    lowest_kpa = float(used.troughs_kpa.mean())
+    if not pressure.value > 0 or lowest_kpa < -_BELOW_FRACTION * pressure.value:
         warnings.append(
             f"negative pressure ({lowest_kpa:.1f} to {pressure.value:.1f} kPa): the paper's rectangle to the axes "
             f"does not hold the loop, its hysteresis ratio is not given"
@@ -259,9 +326,9 @@ def _ratio(
         return Estimate(NAN)
     ratio = hysteresis_ratio(float(used.areas.mean()), pressure.value, response.value)
     rectangle = pressure.value * response.value
-    # Cycle by cycle to first order, so that what area and angle of a cycle have in common is seen.
+    # Linearised for each cycle, so that the correlation of a cycle's area and angle is kept.
     per_cycle = mean_of(
-        used.areas / rectangle - ratio * (used.tops_kpa / pressure.value + largest_deg / response.value)
+        used.areas / rectangle - ratio * (used.peaks_kpa / pressure.value + largest_deg / response.value)
     )
     return combined(
         ratio,
@@ -269,7 +336,7 @@ def _ratio(
             (1, per_cycle),
             (used.area_by_shift / rectangle, shift),
             (ratio / response.value, common_deg),
-            (ratio / pressure.value, _known(measured.tops.common_sd_kpa)),
+            (ratio / pressure.value, _component(measured.peaks.common_sd_kpa)),
         ],
     )
 
@@ -297,9 +364,9 @@ def _extremes(used: _Used, whole: np.ndarray, shift: Estimate) -> Estimate:
     """Ratio to the loop's own extremes: mean area over the rectangle of the cycles' mean extremes."""
     if not whole.any():
         return Estimate(NAN)
-    areas, tops, feet = used.areas[whole], used.tops_kpa[whole], used.feet_kpa[whole]
+    areas, peaks, troughs = used.areas[whole], used.peaks_kpa[whole], used.troughs_kpa[whole]
     largest, residual = used.largest_deg[whole], used.residual_deg[whole]
-    pressures = (float(feet.mean()), float(tops.mean()))
+    pressures = (float(troughs.mean()), float(peaks.mean()))
     angles = (float(residual.mean()), float(largest.mean()))
     ratio = hysteresis_ratio_extremes(float(areas.mean()), pressures, angles)
     if not math.isfinite(ratio):
@@ -307,7 +374,7 @@ def _extremes(used: _Used, whole: np.ndarray, shift: Estimate) -> Estimate:
     range_kpa, range_deg = pressures[1] - pressures[0], angles[1] - angles[0]
     per_cycle = mean_of(
         areas / (range_kpa * range_deg)
-        - ratio * ((tops - feet) / range_kpa + (largest - residual) / range_deg)
+        - ratio * ((peaks - troughs) / range_kpa + (largest - residual) / range_deg)
     )
     return combined(ratio, [(1, per_cycle), (used.area_by_shift / (range_kpa * range_deg), shift)])
 
@@ -320,11 +387,11 @@ def _width(measured: MeasuredCycles, used: _Used, shift: Estimate) -> Estimate:
     return combined(width.value, [(1, width), (float(measured.width_by_shift[wide].mean()), shift)])
 
 
-def _cycle_numbers(measured: MeasuredCycles, place: int, reason: str, rectangle: float) -> CycleNumbers:
-    # A cycle that is refused keeps no number that its fault could have touched.
-    believable = reason in ("", _APART)
+def _cycle_numbers(measured: MeasuredCycles, index: int, reason: str, rectangle: float) -> CycleNumbers:
+    # A refused cycle keeps no number that its fault may have affected.
+    usable = reason in ("", _APART)
     largest, residual, area, width = (
-        float(values[place]) if believable else NAN
+        float(values[index]) if usable else NAN
         for values in (
             measured.largest.deg,
             measured.residual.deg,
@@ -332,27 +399,27 @@ def _cycle_numbers(measured: MeasuredCycles, place: int, reason: str, rectangle:
             measured.widths_deg,
         )
     )
-    top, foot = float(measured.tops.kpa[place]), float(measured.feet.kpa[place])
-    start, end = float(measured.train.start_s[place]), float(measured.train.end_s[place])
-    cover = measured.coverage[place]
+    peak, trough = float(measured.peaks.kpa[index]), float(measured.troughs.kpa[index])
+    start, end = float(measured.train.start_s[index]), float(measured.train.end_s[index])
+    cover = measured.coverage[index]
     return CycleNumbers(
-        number=place + 1,
+        number=index + 1,
         used=not reason,
         reason=reason,
         start_s=start,
-        turn_s=float(measured.train.turn_s[place]),
+        turn_s=float(measured.train.turn_s[index]),
         end_s=end,
         period_s=end - start,
         frames=cover.frames,
         missing_frames=cover.missing,
         longest_gap_s=cover.longest_gap_s,
-        pressure_min_kpa=foot,
-        pressure_max_kpa=top,
+        pressure_min_kpa=trough,
+        pressure_max_kpa=peak,
         largest_angle_deg=largest,
         residual_angle_deg=residual,
         hysteresis_deg_kpa=area,
         hysteresis_ratio=area / rectangle,
-        hysteresis_ratio_extremes=hysteresis_ratio_extremes(area, (foot, top), (residual, largest)),
+        hysteresis_ratio_extremes=hysteresis_ratio_extremes(area, (trough, peak), (residual, largest)),
         mid_width_deg=width,
     )
 
@@ -361,38 +428,38 @@ def _repeatability_deg(measured: MeasuredCycles, used: _Used) -> float:
     """RMS over both branches of the spread (sd) between the cycles used of the angle at one pressure."""
     if used.number.size < 2:
         return NAN
-    levels = np.linspace(used.feet_kpa.mean(), used.tops_kpa.mean(), _LEVELS + 2)[1:-1]
+    levels = np.linspace(used.troughs_kpa.mean(), used.peaks_kpa.mean(), _LEVELS + 2)[1:-1]
     angles = []
-    for place in np.flatnonzero(used.chosen):
-        loop = measured.loops[place]
-        top = int(np.argmax(loop[:, 0]))
-        # Noise may turn a pressure back for a frame; np.interp wants it to rise.
+    for index in np.flatnonzero(used.chosen):
+        loop = measured.loops[index]
+        peak = int(np.argmax(loop[:, 0]))
+        # np.interp needs rising pressures; noise may reverse them for a frame.
         angles.append(
             [
                 np.interp(levels, np.maximum.accumulate(branch[:, 0]), branch[:, 1])
-                for branch in (loop[: top + 1], loop[top:][::-1])
+                for branch in (loop[: peak + 1], loop[peak:][::-1])
             ]
         )
     return float(np.sqrt(np.mean(np.var(angles, axis=0, ddof=1))))
 
 
-def _share_spread(values: FloatArray) -> float:
+def _relative_spread(values: FloatArray) -> float:
     """Standard deviation over the mean; NaN of one value or around 0."""
     mean = float(values.mean())
     return float(values.std(ddof=1)) / abs(mean) if values.size > 1 and mean else NAN
 
 
-def _known(sd: float) -> Estimate:
-    """A source of uncertainty whose standard deviation is known; one that could not be told adds nothing."""
+def _component(sd: float) -> Estimate:
+    """An uncertainty component with a known standard deviation; an unknown one (NaN) adds nothing."""
     return Estimate(0.0, sd if math.isfinite(sd) else 0.0)
 
 
-def _nothing(
+def _no_values(
     train: CycleTrain,
     warnings: list[str],
     cycles: tuple[CycleNumbers, ...] = (),
 ) -> DynamicNumbers:
-    """A trial without values: what is known of its wave, and why there is no more."""
+    """A trial without values: its wave as far as known, and warnings with the reason."""
     unknown = Estimate(NAN)
     return DynamicNumbers(
         cycles=cycles,

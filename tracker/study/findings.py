@@ -1,4 +1,4 @@
-"""The report's first lines: what the study found, in sentences with intervals, from the results alone."""
+"""The report's summary: the main findings as sentences with intervals, from the results alone."""
 
 from __future__ import annotations
 
@@ -13,7 +13,20 @@ if TYPE_CHECKING:
 
 
 def main_findings(results: StudyResults, labels: Mapping[str, str]) -> list[str]:
-    """One sentence or two a finding, the most telling first; nothing that the data do not carry."""
+    """One or two sentences for each finding, the most important first; only what the data support.
+
+    Parameters
+    ----------
+    results : StudyResults
+        Results of the study.
+    labels : mapping of str to str
+        Label of each design, by its name.
+
+    Returns
+    -------
+    list of str
+        Plain text, one string for each finding.
+    """
     return [
         *_ratios(results, labels),
         *_responses(results, labels),
@@ -50,8 +63,8 @@ def _ratios(results: StudyResults, labels: Mapping[str, str]) -> list[str]:
 def _responses(results: StudyResults, labels: Mapping[str, str]) -> list[str]:
     table = results.ranking
     table = table[table["metric"] == "dynamic_response_deg"]
-    beside_others = table.groupby(["frequency_hz", "pressure_pp_kpa"])["rank"].transform("size") > 1
-    best = table[(table["rank"] == 1) & beside_others]
+    has_others = table.groupby(["frequency_hz", "pressure_pp_kpa"])["rank"].transform("size") > 1
+    best = table[(table["rank"] == 1) & has_others]
     found = []
     for frequency, here in best.groupby("frequency_hz"):
         # The design that bends furthest at most pressures; at equal numbers the one that bends furthest of all.
@@ -124,7 +137,7 @@ def _trust(results: StudyResults) -> list[str]:
 
 
 def _listed(words: list[str], most: int = 6) -> str:
-    """ "a, b and c"; beyond `most` the rest are counted.
+    """Words joined as "a, b and c"; beyond `most` the rest are counted.
 
     >>> _listed(["40", "45", "50"])
     '40, 45 and 50'

@@ -1,7 +1,7 @@
-"""A first study file from a folder: what its files are by their content, which belong together by their names.
+"""A first study file from a folder: files are recognised by content and grouped into trials by name.
 
-The names tell design, frequency and pressure ("original_0.0625Hz_45kPa.csv"); what they do not tell is left to the
-user, in comments. How a study file is read is `study_file.py`.
+Names contain design, frequency and pressure ("original_0.0625Hz_45kPa.csv"); what is missing is left to the
+user, in comments. Study files are read by `study_file.py`.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from .pressure_log import read_pressure_log
 _FREQUENCY = re.compile(r"(?<![\d.])(\d+(?:[.,p]\d+)?)[ _-]?hz(?![a-z])", re.IGNORECASE)
 _PRESSURE = re.compile(r"(?<![\d.])(\d+(?:[.,p]\d+)?)[ _-]?kpa(?![a-z])", re.IGNORECASE)
 _STATIC = re.compile(r"(?<![a-z])(static|stairs?|staircase|steps?)(?![a-z])", re.IGNORECASE)
-# Words that say what a file is, not which trial it belongs to.
+# Words for the kind of file, which do not identify the trial.
 _KIND_WORDS = re.compile(
     r"(?<![a-z])(angles?|results?|tracks?|tracked|videos?|pressures?|press|logs?|logged|data|dynamic|triangle|"
     r"simulink|matlab|csv|mat|daq|models?|fem|curves?|simulation)(?![a-z])",
     re.IGNORECASE,
 )
-# What tells one trial from another that is alike.
+# Marks of repetitions, which distinguish trials of equal conditions.
 _REPEAT = re.compile(
     r"(?<![a-z])(?:rep(?:eat)?|run|trial|take|test|no)[ _-]*\d+|\d{4}-\d\d-\d\d(?:[T_ -]\d\d[-:.]?\d\d(?:[-:.]?\d\d)?)?"
     r"|(?<!\d)20\d{6}(?!\d)|\(\d+\)",
@@ -42,8 +42,8 @@ _MAX_FILES = 5000
 
 
 @dataclass
-class _Found:
-    """Files of one trial, and what their names say of it."""
+class _TrialFiles:
+    """Files of one trial, and the conditions in their names."""
 
     stem: str
     files: dict[str, str] = field(default_factory=dict)
@@ -54,20 +54,30 @@ class _Found:
 
 
 def first_study_file(folder: str | Path) -> str:
-    """Text of a study file for what is in a folder and its subfolders; paths in it begin from the folder.
+    """Text of a study file for what is in a folder and its subfolders; paths in it are relative to the folder.
 
-    Angle tables, logs and videos are told by content and suffix, put together by their names, and listed as trials
-    where there is a log with an angle table or a video. What belongs to nothing is listed in comments.
+    Angle tables, logs and videos are recognised by content and suffix, grouped by name, and listed as trials
+    where there is a log with an angle table or a video. Files without a trial are listed in comments.
+
+    Parameters
+    ----------
+    folder : str or Path
+        The folder.
+
+    Returns
+    -------
+    str
+        TOML with comments.
 
     Raises
     ------
     StudyError
-        Not a folder, or no trial in it.
+        Not a folder, or a folder without a trial.
     """
     folder = Path(folder)
     if not folder.is_dir():
         raise StudyError(f"expected a folder with logs and angle tables, got {folder}")
-    trials: dict[str, _Found] = {}
+    trials: dict[str, _TrialFiles] = {}
     left: list[str] = []
     for path in _files(folder):
         relative = path.relative_to(folder).as_posix()
@@ -80,7 +90,7 @@ def first_study_file(folder: str | Path) -> str:
             continue
         trial = trials.setdefault(_key(found), found)
         known = trial.files.get(kind)
-        # The exact .h5 of a table before its .csv; else two files of one kind are a doubt.
+        # The exact .h5 of a table is preferred to its .csv; otherwise a second file of one kind is left out.
         if known is None or (kind == "angles" and _same_table(known, relative)):
             trial.files[kind] = min(relative, known or relative, key=lambda name: not name.endswith(".h5"))
         else:
@@ -111,7 +121,7 @@ def _files(folder: Path) -> Iterator[Path]:
 
 
 def _kind(path: Path) -> str | None:
-    """What a file is to a trial: "angles", "log", "video", "model"; "unknown" tables; None for no table."""
+    """Kind of a file: "angles", "log", "video", "model"; "unknown" tables; None for no table."""
     suffix = path.suffix.lower()
     if suffix in VIDEO_SUFFIXES:
         return None if path.stem.endswith(".overlay") or path.with_suffix(".json").is_file() else "video"
@@ -135,8 +145,8 @@ def _kind(path: Path) -> str | None:
     return "log" if any(is_pressure(column) for column in columns) else "unknown"
 
 
-def _by_name(relative: str) -> _Found | None:
-    """What a file's name says of its trial, or with it those of the folders that it is in."""
+def _by_name(relative: str) -> _TrialFiles | None:
+    """Conditions of a trial from a file's name, or from it together with its folders' names."""
     path = PurePosixPath(relative)
     for text in (path.stem, " ".join((*path.parent.parts, path.stem))):
         frequency, pressure, static = _FREQUENCY.search(text), _PRESSURE.search(text), _STATIC.search(text)
@@ -148,7 +158,7 @@ def _by_name(relative: str) -> _Found | None:
             rest = pattern.sub(" ", rest)
         words = " ".join(re.sub(r"[_\s]+|-(?=\s)|(?<=\s)-|(?<=_)-", " ", rest).strip(" -_.,").split())
         if words:
-            return _Found(
+            return _TrialFiles(
                 stem=path.stem,
                 design=known_design(words) or words,
                 repeat=" ".join(repeats),
@@ -162,7 +172,7 @@ def _number(text: str) -> float:
     return float(text.replace(",", ".").replace("p", "."))
 
 
-def _key(found: _Found) -> str:
+def _key(found: _TrialFiles) -> str:
     return f"{found.design.lower()}|{found.frequency_hz}|{found.pressure_pp_kpa}|{found.repeat.lower()}"
 
 
@@ -170,11 +180,11 @@ def _same_table(a: str, b: str) -> bool:
     return PurePosixPath(a).with_suffix("") == PurePosixPath(b).with_suffix("")
 
 
-def _text(folder: Path, trials: list[_Found], left: list[str]) -> str:
+def _text(folder: Path, trials: list[_TrialFiles], left: list[str]) -> str:
     document = tomlkit.document()
     for line in (
-        "A study for `bendtrack analyze`, made from the names of the files beside it. Look it over:",
-        "designs, frequencies and pressures are what the names say. Keys that are not known are refused.",
+        "A study for `bendtrack analyze`, made from the names of the files next to it. Check it:",
+        "designs, frequencies and pressures are taken from the names. Unknown keys are refused.",
     ):
         document.add(tomlkit.comment(line))
     document.add("title", tomlkit.item(folder.resolve().name or "Study"))
@@ -229,13 +239,13 @@ def _text(folder: Path, trials: list[_Found], left: list[str]) -> str:
 
 
 def _log_format(log: Path) -> tomlkit.items.Table:
-    """The section on logs, with what the first log leaves open as comments to fill in."""
+    """The section on logs, with comments to fill in where the first log is ambiguous."""
     table = tomlkit.table()
-    table.add(tomlkit.comment("How the logs are read; a trial may say otherwise in a log_format of its own."))
+    table.add(tomlkit.comment("How the logs are read; a trial may have its own log_format."))
     try:
         columns = read_pressure_log(log).provenance["columns"]
-        said = ", ".join(f"{what} '{name}'" for what, name in columns.items() if name)
-        table.add(tomlkit.comment(f"Found in {log.name}: {said}."))
+        found = ", ".join(f"{what} '{name}'" for what, name in columns.items() if name)
+        table.add(tomlkit.comment(f"Found in {log.name}: {found}."))
     except PressureLogError as error:
         table.add(tomlkit.comment(f"TO DO: {str(error).replace(str(log), log.name)}"))
     for line in (
@@ -253,7 +263,7 @@ def _log_format(log: Path) -> tomlkit.items.Table:
 def _sync() -> tomlkit.items.Table:
     table = tomlkit.table()
     table.add(
-        tomlkit.comment("How the log's clock is brought to the video's; a trial may have a sync of its own.")
+        tomlkit.comment("How the log's clock is brought to the video's; a trial may have its own sync.")
     )
     table.add("method", tomlkit.item("shared clock"))
     for line in (

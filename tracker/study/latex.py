@@ -1,11 +1,11 @@
-"""Tables as LaTeX files for a paper (booktabs), everything escaped. What is in them is `paper_tables.py`'s."""
+"""Tables as LaTeX files for a paper (booktabs), everything escaped. Their contents are made in `paper_tables.py`."""
 
 from __future__ import annotations
 
 from .number_text import MINUS, MISSING
 from .paper_tables import PaperTable
 
-_SIGNS = {
+_ESCAPES = {
     "\\": r"\textbackslash{}",
     "{": r"\{",
     "}": r"\}",
@@ -31,16 +31,39 @@ _SIGNS = {
 
 
 def latex_text(text: str) -> str:
-    """Text so that LaTeX prints it as it is; line breaks and control signs become spaces.
+    """Text escaped for LaTeX; line breaks and control characters become spaces.
 
+    Parameters
+    ----------
+    text : str
+        Plain text.
+
+    Returns
+    -------
+    str
+        LaTeX source of one line.
+
+    Examples
+    --------
     >>> latex_text("50% of a_b & 3° ± 1°")
     '50\\\\% of a\\\\_b \\\\& 3$^{\\\\circ}$ $\\\\pm$ 1$^{\\\\circ}$'
     """
-    return "".join(_SIGNS.get(sign, sign if sign.isprintable() else " ") for sign in text)
+    return "".join(_ESCAPES.get(char, char if char.isprintable() else " ") for char in text)
 
 
 def latex_table(table: PaperTable) -> str:
-    """A `table` environment, to be read in with \\input; the document needs \\usepackage{booktabs}."""
+    """A `table` environment, to be included with \\input; the document needs \\usepackage{booktabs}.
+
+    Parameters
+    ----------
+    table : PaperTable
+        The table.
+
+    Returns
+    -------
+    str
+        LaTeX source.
+    """
     columns = "".join("r" if column.numeric else "l" for column in table.columns)
     lines = [
         r"% needs \usepackage{booktabs}; \usepackage[T1]{fontenc} for quotation marks in names",
@@ -54,9 +77,9 @@ def latex_table(table: PaperTable) -> str:
         r"    \midrule",
     ]
     before = ""
-    for place, row in enumerate(table.rows):
+    for index, row in enumerate(table.rows):
         again = table.grouped and row[0] == before
-        if table.grouped and place > 0 and not again:
+        if table.grouped and index > 0 and not again:
             lines.append(r"    \midrule")
         lines.append(f"    {_row(['', *row[1:]] if again else row)}")
         before = row[0]

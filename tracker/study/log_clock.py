@@ -1,6 +1,6 @@
-"""A log's clock put in order: what it does wrong is found and told, and no time is made up.
+"""A log's clock put in order: faults are detected and reported, and no time is invented.
 
-Which column holds the times is settled in `log_columns.py`.
+The column of times is chosen in `log_columns.py`.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from ..types import FloatArray
 
-# A step of so many usual ones is a gap: at least one sample is missing, and not by jitter.
+# A step of so many median steps is a gap: jitter alone does not explain it.
 GAP_STEPS = 1.8
-# Rows of which more than this share have the time of the row before come from a clock that ticks slowly.
-_COARSE_SHARE = 0.02
-# In units of the usual step: what differs less between two neighbours, once sorted, is regular sampling.
+# More repeated times than this fraction of the rows come from a clock that is coarser than the samples.
+_COARSE_FRACTION = 0.02
+# Steps within these bounds, in median steps, are regular sampling.
 _REGULAR = (0.4, 1.6)
 
 
@@ -26,10 +26,14 @@ class OrderedClock:
 
     Attributes
     ----------
-    rows : (M,) which rows to take, in this order, so that times rise
-    time_s : (M,) of those
-    tick_s : what the times are rounded to where that is coarser than a sample, else 0
-    warnings : a line each
+    rows : ndarray of int
+        (M,) indices of the rows to take, in this order, so that times rise.
+    time_s : ndarray of float
+        (M,) rising times of those rows, s.
+    tick_s : float
+        Resolution of the times where it is coarser than a sample, s; else 0.
+    warnings : tuple of str
+        Warnings, a line each.
     """
 
     rows: NDArray[np.intp]
@@ -39,16 +43,23 @@ class OrderedClock:
 
 
 def order_clock(time_s: FloatArray, value: FloatArray) -> OrderedClock:
-    """Times that rise, from times as they were written.
+    """Rising times, from times as written in the log.
+
+    A reversed log is turned round; single swapped rows are sorted; of rows with the same time the first is
+    kept. Where the clock was set back or forward, or the log was restarted, the times on the two sides do
+    not belong together: the longest segment is kept. Gaps stay gaps.
 
     Parameters
     ----------
-    time_s : (N,) s, NaN where unreadable
-    value : (N,) what was measured, by which a clock that jumped is told from samples that are missing
+    time_s : ndarray of float
+        (N,) s, NaN where unreadable.
+    value : ndarray of float
+        (N,) what was measured; it distinguishes a clock that jumped from samples that are missing.
 
-    A log wholly in reverse is turned; rows swapped here and there are sorted; of rows with the same time the first is
-    kept. Where the clock was set back or forward, or the log begun anew, the times on the two sides do
-    not belong together: the longest side is kept. Gaps stay gaps.
+    Returns
+    -------
+    OrderedClock
+        The rows to take and their times.
     """
     warnings: list[str] = []
     rows = np.flatnonzero(np.isfinite(time_s))
@@ -62,12 +73,23 @@ def order_clock(time_s: FloatArray, value: FloatArray) -> OrderedClock:
     rows = _in_order(rows, times, warnings)
     rows, tick_s = _without_repeats(rows, time_s, value, warnings)
     rows = _without_jump(rows, time_s, value, warnings)
-    _tell_gaps(time_s[rows], warnings)
+    _warn_of_gaps(time_s[rows], warnings)
     return OrderedClock(rows, time_s[rows], tick_s, tuple(warnings))
 
 
 def usual_step_s(time_s: FloatArray) -> float:
-    """Median time from sample to sample, s; NaN with fewer than two."""
+    """Median time from sample to sample, s; NaN with fewer than two.
+
+    Parameters
+    ----------
+    time_s : ndarray of float
+        (N,) times, s.
+
+    Returns
+    -------
+    float
+        Seconds.
+    """
     return float(np.median(np.diff(time_s))) if len(time_s) > 1 else float("nan")
 
 
@@ -79,7 +101,7 @@ def _in_order(rows: NDArray[np.intp], times: FloatArray, warnings: list[str]) ->
     usual = float(np.median(steps[steps > 0]))
     order = np.argsort(times, kind="stable")
     between = np.diff(times[order]) / usual
-    # Swapped rows, once sorted, are sampled as regularly as the others; two clocks laid over each other are not.
+    # Swapped rows, once sorted, are sampled as regularly as the others; two overlapping clocks are not.
     moved = order != np.arange(len(order))
     touched = moved[1:] | moved[:-1]
     if (
@@ -93,7 +115,7 @@ def _in_order(rows: NDArray[np.intp], times: FloatArray, warnings: list[str]) ->
 
 
 def _longest(breaks: NDArray[np.intp], times: FloatArray, verb: str, warnings: list[str]) -> slice:
-    """The longest stretch between breaks (after which index each is), and a word about the others."""
+    """The longest segment between breaks (each after its index); adds a warning about the others."""
     edges = np.concatenate([[0], breaks + 1, [len(times)]])
     longest = int(np.argmax(np.diff(edges)))
     kept = slice(int(edges[longest]), int(edges[longest + 1]))
@@ -102,7 +124,7 @@ def _longest(breaks: NDArray[np.intp], times: FloatArray, verb: str, warnings: l
     more = f" ({len(breaks)} such jumps)" if len(breaks) > 1 else ""
     warnings.append(
         f"clock jump: the log's time {verb} by {abs(jump):.3f} s after {times[first]:.3f} s{more}; only the longest "
-        f"stretch, {times[kept.start]:.3f} to {times[kept.stop - 1]:.3f} s, is used"
+        f"segment, {times[kept.start]:.3f} to {times[kept.stop - 1]:.3f} s, is used"
     )
     return kept
 
@@ -119,7 +141,7 @@ def _without_repeats(
     a, b = value[rows[again]], value[rows[again - 1]]
     same = (a == b) | (np.isnan(a) & np.isnan(b))
     tick_s = usual_step_s(times[first])
-    if n_repeated > _COARSE_SHARE * len(times) and not same.all():
+    if n_repeated > _COARSE_FRACTION * len(times) and not same.all():
         warnings.append(
             f"the log's clock ticks every {tick_s:.4g} s, coarser than its samples; the first sample of each "
             f"tick is kept, {n_repeated} of {len(times)} left out"
@@ -133,7 +155,7 @@ def _without_repeats(
 def _without_jump(
     rows: NDArray[np.intp], time_s: FloatArray, value: FloatArray, warnings: list[str]
 ) -> NDArray[np.intp]:
-    """Rows without a clock set forward: a gap over which a changing value goes on as if nothing were missing."""
+    """Rows without a forward clock jump: a gap across which a changing value continues as if nothing were missing."""
     times, values = time_s[rows], value[rows]
     usual = usual_step_s(times)
     breaks = [at for at in _gaps(times, usual) if _goes_on(times, values, at, usual)]
@@ -148,7 +170,7 @@ def _gaps(times: FloatArray, usual: float) -> NDArray[np.intp]:
 
 
 def _goes_on(times: FloatArray, values: FloatArray, at: int, usual: float) -> bool:
-    """Whether lines fitted to the samples on both sides meet as they would without the gap, and not with it."""
+    """Whether lines fitted to the samples on both sides are continuous if the gap is removed, and not otherwise."""
     n = max(8, round(0.1 / usual))
     before, after = slice(max(0, at + 1 - n), at + 1), slice(at + 1, at + 1 + n)
     a, b = values[before], values[after]
@@ -161,13 +183,13 @@ def _goes_on(times: FloatArray, values: FloatArray, at: int, usual: float) -> bo
     level_sd = 3 * noise / np.sqrt(min(len(a), len(b)))
     missing = slope_a * gap
     if abs(missing) < 8 * level_sd + abs(slope_a * usual) * 4:
-        return False  # too flat to tell
+        return False  # too flat to decide
     meets = abs(start_b - end_a - slope_a * usual) < 4 * level_sd + abs(slope_a * usual)
     alike = abs(slope_b - slope_a) < 0.5 * abs(slope_a)
     return bool(meets and alike)
 
 
-def _tell_gaps(times: FloatArray, warnings: list[str]) -> None:
+def _warn_of_gaps(times: FloatArray, warnings: list[str]) -> None:
     usual = usual_step_s(times)
     gaps = _gaps(times, usual)
     if len(gaps):

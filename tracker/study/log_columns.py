@@ -1,7 +1,7 @@
 """Columns of a pressure log, and which of them is the time, the pressure, the reference wave, the sync channel.
 
-A column is taken by the name that the user gives or found by its header. Where two could be meant, none is taken.
-How files give columns is in `csv_log.py` and `matlab_log.py`.
+A column is taken by the name that the user gives or found by its header. Where two are possible, none is taken.
+Columns are read from files by `csv_log.py` and `matlab_log.py`.
 """
 
 from __future__ import annotations
@@ -30,12 +30,18 @@ class LogColumn:
 
     Attributes
     ----------
-    name : as in the file, without its unit
-    unit : as `units.split_unit` gives it
-    values : (M,) NaN where a cell is empty or no number
-    is_clock : the values are seconds since 1970 (or since midnight), read from written dates or times of day
-    time : the clock that belongs to this column alone, where the file says so (MATLAB structures)
-    number : its place in the file, from 1
+    name : str
+        Name as in the file, without its unit.
+    unit : str or None
+        Unit, as returned by `units.split_unit`.
+    values : ndarray of float
+        (M,) NaN where a cell is empty or not a number.
+    is_clock : bool
+        The values are seconds since 1970 (or since midnight), read from written dates or times of day.
+    time : LogColumn or None
+        A clock that belongs to this column alone, where the file has one (MATLAB structures).
+    number : int
+        Number of the column in the file, from 1.
     """
 
     name: str
@@ -47,7 +53,19 @@ class LogColumn:
 
 
 class ChosenColumns(NamedTuple):
-    """What the columns of a log are; None where there is none."""
+    """The chosen columns of a log; None where there is none.
+
+    Attributes
+    ----------
+    pressure : LogColumn
+        The measured pressure.
+    time : LogColumn or None
+        The times of the samples.
+    reference : LogColumn or None
+        The reference wave.
+    sync : LogColumn or None
+        The sync channel.
+    """
 
     pressure: LogColumn
     time: LogColumn | None
@@ -55,20 +73,34 @@ class ChosenColumns(NamedTuple):
     sync: LogColumn | None
 
 
-def choose_columns(columns: Sequence[LogColumn], asked: LogFormat, where: str) -> ChosenColumns:
-    """Pressure, time, reference and sync: those that the user names first, then what units and names say.
+def choose_columns(columns: Sequence[LogColumn], log_format: LogFormat, where: str) -> ChosenColumns:
+    """Pressure, time, reference and sync: those named by the user first, then by units and names.
 
     `where` opens messages.
+
+    Parameters
+    ----------
+    columns : sequence of LogColumn
+        Columns of the log.
+    log_format : LogFormat
+        The user's settings.
+    where : str
+        Begins error messages.
+
+    Returns
+    -------
+    ChosenColumns
+        The chosen columns.
 
     Raises
     ------
     PressureLogError
-        A named column is not there, several could be meant, there is no pressure, or lengths do not fit.
+        A named column is missing, several are possible, there is no pressure, or lengths differ.
     """
     named = {
         key: named_column(columns, wanted, key, where)
         for key in ("time_column", "pressure_column", "reference_column", "sync_column")
-        if (wanted := getattr(asked, key)) is not None
+        if (wanted := getattr(log_format, key)) is not None
     }
     left = [c for c in columns if c not in named.values()]
     pressure, time = named.get("pressure_column"), named.get("time_column")
@@ -98,7 +130,23 @@ def choose_columns(columns: Sequence[LogColumn], asked: LogFormat, where: str) -
 
 
 def named_column(columns: Sequence[LogColumn], wanted: str | int, key: str, where: str) -> LogColumn:
-    """The column that the user names, by its name (with or without what stands before a dot) or its number from 1.
+    """The column that the user names, by its name (with or without the part before a dot) or its number from 1.
+
+    Parameters
+    ----------
+    columns : sequence of LogColumn
+        Columns of the log.
+    wanted : str or int
+        Name, or number from 1.
+    key : str
+        The user's setting, for messages.
+    where : str
+        Begins error messages.
+
+    Returns
+    -------
+    LogColumn
+        The column.
 
     Raises
     ------
@@ -136,6 +184,18 @@ def named_column(columns: Sequence[LogColumn], wanted: str | int, key: str, wher
 def time_column(columns: Sequence[LogColumn], where: str) -> LogColumn | None:
     """The only column that is a time by its cells, its unit or its name; None where there is none.
 
+    Parameters
+    ----------
+    columns : sequence of LogColumn
+        Columns of the log.
+    where : str
+        Begins error messages.
+
+    Returns
+    -------
+    LogColumn or None
+        The column of times.
+
     Raises
     ------
     PressureLogError
@@ -154,6 +214,18 @@ def time_column(columns: Sequence[LogColumn], where: str) -> LogColumn | None:
 def pressure_column(columns: Sequence[LogColumn], where: str) -> LogColumn:
     """The only column that is a pressure by name or unit, or the only one that is not a time.
 
+    Parameters
+    ----------
+    columns : sequence of LogColumn
+        Columns of the log.
+    where : str
+        Begins error messages.
+
+    Returns
+    -------
+    LogColumn
+        The column of pressures.
+
     Raises
     ------
     PressureLogError
@@ -171,7 +243,25 @@ def pressure_column(columns: Sequence[LogColumn], where: str) -> LogColumn:
 
 
 def reference_column(columns: Sequence[LogColumn], where: str) -> LogColumn | None:
-    """The only column that is the pressure asked for, by its name; None where there is none."""
+    """The only column that is the reference pressure, by its name; None where there is none.
+
+    Parameters
+    ----------
+    columns : sequence of LogColumn
+        Columns of the log.
+    where : str
+        Begins error messages.
+
+    Returns
+    -------
+    LogColumn or None
+        The column of the reference wave.
+
+    Raises
+    ------
+    PressureLogError
+        Several could be.
+    """
     left = [c for c in columns if not _is_time(c)]
     found = [c for c in left if words_of(c.name) & (_REFERENCE_WORDS - {"d"})]
     found = found or [c for c in left if is_pressure(c) and "d" in words_of(c.name)]
@@ -179,7 +269,25 @@ def reference_column(columns: Sequence[LogColumn], where: str) -> LogColumn | No
 
 
 def sync_column(columns: Sequence[LogColumn], where: str) -> LogColumn | None:
-    """The only column that is a sync channel by its name; None where there is none."""
+    """The only column that is a sync channel by its name; None where there is none.
+
+    Parameters
+    ----------
+    columns : sequence of LogColumn
+        Columns of the log.
+    where : str
+        Begins error messages.
+
+    Returns
+    -------
+    LogColumn or None
+        The column of the sync channel.
+
+    Raises
+    ------
+    PressureLogError
+        Several could be.
+    """
     found = [c for c in columns if not _is_time(c) and words_of(c.name) & _SYNC_WORDS]
     return _only(found, "sync", where) if found else None
 
@@ -190,7 +298,18 @@ def _is_time(column: LogColumn) -> bool:
 
 
 def is_pressure(column: LogColumn) -> bool:
-    """Whether a column's unit or name says that it is a pressure, measured or asked for."""
+    """Whether a column's unit or name says that it is a pressure, measured or reference.
+
+    Parameters
+    ----------
+    column : LogColumn
+        A column of a log.
+
+    Returns
+    -------
+    bool
+        Whether it is a pressure.
+    """
     return column.unit in KPA_IN or bool(words_of(column.name) & _PRESSURE_WORDS)
 
 

@@ -1,4 +1,4 @@
-"""What a pressure signal itself tells of a sensor or a unit that is wrong. Nothing is changed, only told."""
+"""Faults of a sensor or a unit that show in the pressure signal itself. They are reported; nothing is changed."""
 
 from __future__ import annotations
 
@@ -7,20 +7,35 @@ import numpy as np
 from ..types import BoolArray, FloatArray
 from .log_clock import usual_step_s
 
-# Less than this is no actuation but noise.
+# A smaller range is noise, no actuation.
 _CONSTANT_KPA = 0.5
 # Below gauge zero by more than a sensor's offset: a vacuum, a wrong zero or a wrong sign.
 _NEGATIVE_KPA = 1.0
-# Silicone pneu-nets burst long before; logs beyond it are in another unit.
+# Silicone pneu-nets burst far below; logs above it are in another unit.
 _TOO_MUCH_KPA = 1000.0
-# The atmosphere: a log that never gets much below it is absolute, not gauge.
+# About atmospheric pressure: a log that stays above it is absolute, not gauge.
 _ATMOSPHERE_KPA = 80.0
-# A value held for so long, where neighbours otherwise differ, is a sensor at its limit.
+# A constant value of this duration, where neighbours otherwise differ, is a saturated sensor.
 _HELD_S = 0.05
 
 
 def pressure_faults(time_s: FloatArray, pressure_kpa: FloatArray) -> tuple[list[str], BoolArray]:
-    """Warnings about a pressure (M,) kPa at rising times (M,) s, each opens with its name; saturated samples (M,)."""
+    """Faults of a pressure signal.
+
+    Parameters
+    ----------
+    time_s : ndarray of float
+        (M,) rising times, s.
+    pressure_kpa : ndarray of float
+        (M,) pressures, kPa; NaN where missing.
+
+    Returns
+    -------
+    warnings : list of str
+        A line for each fault, which begins with the fault's name.
+    saturated : ndarray of bool
+        (M,) samples at a limit of the sensor's range.
+    """
     warnings = []
     saturated = np.zeros(len(pressure_kpa), dtype=bool)
     lost = int(np.isnan(pressure_kpa).sum())
@@ -66,7 +81,7 @@ def _held_samples(values: FloatArray) -> int:
 
 
 def _saturation(values: FloatArray, held: int, step_s: float) -> tuple[list[str], BoolArray]:
-    """An upper or lower end that is held exactly, where the other values are not: warnings, and which samples."""
+    """An upper or lower limit held exactly, unlike the other values: warnings, and a mask of the samples."""
     starts = np.concatenate([[0], np.flatnonzero(np.diff(values) != 0) + 1])
     lengths = np.diff(np.concatenate([starts, [len(values)]]))
     level = values[starts]
@@ -81,7 +96,7 @@ def _saturation(values: FloatArray, held: int, step_s: float) -> tuple[list[str]
         needed = max(_HELD_S / step_s, 5 * held, 3 * float(np.percentile(elsewhere, 99)))
         long = at_end & (lengths >= needed)
         if long.any():
-            saturated |= at_end  # a sensor that is seen to end here ends here in short runs too
+            saturated |= at_end  # short runs at a known limit are saturated too
             found.append(
                 f"saturation: the {end} end, {extreme:.4g} kPa, is held exactly {int(long.sum())} times, "
                 f"{float(lengths[long].sum()) * step_s:.3g} s in all; the true pressure went beyond what the sensor "

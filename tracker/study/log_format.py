@@ -1,4 +1,4 @@
-"""What a user may say about pressure logs: which columns, units, rate, gain. How they are read is `pressure_log.py`."""
+"""User settings for pressure logs: columns, units, rate, gain. Logs are read by `pressure_log.py`."""
 
 from __future__ import annotations
 
@@ -14,16 +14,22 @@ ColumnChoice = Annotated[int, Field(ge=1)] | str
 
 
 class LogFormat(Section):
-    """What a user says about logs. What is left out is found in the file, or refused where it cannot be.
+    """User settings for logs. A setting left out is detected in the file, or the log is refused.
 
     Attributes
     ----------
-    time_column, pressure_column, reference_column, sync_column : a column's name, or its number from 1
-    time_unit, pressure_unit : where the header does not say
-    rate_hz : samples a second, for a log without times
-    gain_kpa_per_v : of a sensor whose voltage was logged
-    offset_kpa : added to the pressure after its unit (and to a reference from the same sensor's scale)
-    lag_s : how late the logged pressure is, by a filter before the log; taken off its times
+    time_column, pressure_column, reference_column, sync_column : int or str or None
+        A column's name, or its number from 1.
+    time_unit, pressure_unit : str or None
+        Unit, where the header has none.
+    rate_hz : float or None
+        Samples per second, for a log without times.
+    gain_kpa_per_v : float or None
+        Gain of a sensor whose voltage was logged.
+    offset_kpa : float
+        Added to the pressure after its unit (and to a reference from the same sensor's scale).
+    lag_s : float
+        Delay of the logged pressure by a filter before the log; subtracted from its times.
     """
 
     time_column: ColumnChoice | None = None

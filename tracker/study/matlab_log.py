@@ -1,6 +1,6 @@
 """MATLAB files to columns: v5 (scipy) and v7.3 (HDF5); arrays, structures, Simulink's structure with time.
 
-What the columns mean is settled in `log_columns.py` and `pressure_log.py`.
+The meaning of the columns is determined in `log_columns.py` and `pressure_log.py`.
 """
 
 from __future__ import annotations
@@ -24,11 +24,21 @@ _MIN_SAMPLES = 3
 
 
 def matlab_columns(path: Path) -> list[LogColumn]:
-    """Every recording in a .mat file, named by where it stands ("out.pressure", "simout.signals[2]").
+    """Every recording in a .mat file, named by its path in the file ("out.pressure", "simout.signals[2]").
 
     Known forms: vectors and matrices (samples along the longer side; a first column that rises evenly is the time
     of the others); structures of vectors; Simulink's "structure with time" (fields time and signals, each
     signal with values and perhaps a label) and structures made from a timeseries (fields Time and Data).
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    list of LogColumn
+        The columns, numbered from 1.
 
     Raises
     ------
@@ -58,7 +68,7 @@ def _read_v5(path: Path) -> dict[str, Any]:
         variables = scipy.io.loadmat(path, simplify_cells=True)
     except NotImplementedError as error:
         raise PressureLogError(f"{path}: a MATLAB file of a version that cannot be read ({error})") from error
-    except Exception as error:  # scipy raises whatever a damaged byte leads to
+    except Exception as error:  # scipy raises many kinds of errors on damaged files
         raise PressureLogError(f"{path}: cannot be read as a MATLAB file ({error})") from error
     return {
         str(name): _OBJECT if _is_object(value) else value

@@ -1,4 +1,4 @@
-"""What was done, in words for the report: definitions with their formulas, and how intervals came about."""
+"""Methods section of the report: definitions with their formulas, and how intervals are computed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,18 @@ if TYPE_CHECKING:
 
 
 def methods_text(results: StudyResults) -> list[str]:
-    """How the numbers came about, a paragraph each."""
+    """The methods, one string for each paragraph.
+
+    Parameters
+    ----------
+    results : StudyResults
+        Results of the study.
+
+    Returns
+    -------
+    list of str
+        Plain text.
+    """
     confidence = f"{100 * results.confidence:g} %"
     return [
         "Angles were measured on every frame of the video and pressures by a log of its own clock. The log was brought "
@@ -18,7 +29,7 @@ def methods_text(results: StudyResults) -> list[str]:
         "stay gaps.",
         "Cycles were found from the pressure alone, from lowest to lowest pressure. Incomplete first and last cycles, "
         "cycles with long gaps and cycles unlike the others are not used, each with its reason; a first cycle that "
-        "lies outside the prediction interval of those after it is reported apart.",
+        "lies outside the prediction interval of those after it is reported separately.",
         "The largest angle of a cycle is where curves fitted to the angle on the way up and on the way down meet at "
         "the largest pressure: the largest single reading would be too large by the noise.",
         f"Intervals hold {confidence}. For a trial they combine the spread over its cycles (Student's t) with what "
@@ -65,7 +76,7 @@ DEFINITIONS: tuple[tuple[str, str, str], ...] = (
     ),
     (
         "Width at mid pressure (°)",
-        "Angle on the way down less that on the way up, half-way between the cycle's lowest and largest pressure.",
+        "Angle on the way down minus that on the way up, half-way between the cycle's lowest and largest pressure.",
         "",
     ),
     ("Residual angle (°)", "Angle left at the lowest pressure at the end of a cycle.", ""),
@@ -76,13 +87,13 @@ DEFINITIONS: tuple[tuple[str, str, str], ...] = (
     ),
     (
         "Static RMSE and NRMSE",
-        "Root mean square of measured less model angle over the stairs of the first pressurisation; NRMSE divides "
+        "Root mean square of measured minus model angle over the stairs of the first pressurisation; NRMSE divides "
         "it by the range of the measured curve.",
         "",
     ),
     (
         "Tracking error",
-        "Root mean square of measured less reference pressure over the whole log, the sensor's noise included; "
+        "Root mean square of measured minus reference pressure over the whole log, the sensor's noise included; "
         "NRMSE divides it by the reference's peak-to-peak.",
         "",
     ),

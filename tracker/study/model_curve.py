@@ -20,7 +20,17 @@ _ANGLE_WORDS = {"angle", "angles", "bending", "theta"}
 
 @dataclass(frozen=True)
 class ModelCurve:
-    """Pressure (S,) kPa and angle (S,) degrees of a model, in the order of the file, and where they are from."""
+    """Pressure (S,) kPa and angle (S,) degrees of a model, in the order of the file, and their provenance.
+
+    Attributes
+    ----------
+    pressure_kpa : ndarray of float
+        (S,) kPa.
+    angle_deg : ndarray of float
+        (S,) degrees.
+    provenance : dict of str to Any
+        JSON-ready: name, hash and size of the file.
+    """
 
     pressure_kpa: FloatArray
     angle_deg: FloatArray
@@ -29,6 +39,16 @@ class ModelCurve:
 
 def read_model_curve(path: Path) -> ModelCurve:
     """Read a curve from a text table with a column of pressure (unit in its header) and one of the angle in degrees.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    ModelCurve
+        The curve.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""How a number with its interval is written for people: in the report, in figures, in LaTeX tables."""
+"""Numbers with their intervals as text, for the report, figures and LaTeX tables."""
 
 from __future__ import annotations
 
@@ -11,8 +11,22 @@ _PLUS_MINUS = "\u00a0±\u00a0"
 
 
 def plain_number(value: float, decimals: int) -> str:
-    """A value with so many places, or a dash where it is missing.
+    """A value with this number of decimals, or a dash where it is missing.
 
+    Parameters
+    ----------
+    value : float
+        The number.
+    decimals : int
+        Number of decimals.
+
+    Returns
+    -------
+    str
+        The number, with a typographic minus sign.
+
+    Examples
+    --------
     >>> plain_number(-0.00004, 3), plain_number(float("nan"), 3), plain_number(-1.26, 1)
     ('0.000', '–', '−1.3')
     """
@@ -25,10 +39,26 @@ def plain_number(value: float, decimals: int) -> str:
 
 
 def with_interval(value: float, low: float, high: float, decimals: int) -> str:
-    """A value and half the width of its interval, with as many places more as the half needs to be seen.
+    """A value and half the width of its interval, with more decimals where the half width needs more.
 
     The value alone where there is no interval.
 
+    Parameters
+    ----------
+    value : float
+        The number.
+    low, high : float
+        Limits of its interval.
+    decimals : int
+        Least number of decimals.
+
+    Returns
+    -------
+    str
+        For example "0.279 ± 0.004".
+
+    Examples
+    --------
     >>> with_interval(0.27912, 0.2756, 0.2826, 3).split()
     ['0.279', '±', '0.004']
     >>> with_interval(4.0, 3.983, 4.017, 1).split()
@@ -39,6 +69,6 @@ def with_interval(value: float, low: float, high: float, decimals: int) -> str:
     half = (high - low) / 2
     if not (math.isfinite(value) and math.isfinite(half)):
         return plain_number(value, decimals)
-    if 0 < half < 0.5 * 10**-decimals:
-        decimals = math.ceil(-math.log10(2 * half))
+    while half > 0 and float(f"{half:.{decimals}f}") == 0:
+        decimals += 1
     return f"{plain_number(value, decimals)}{_PLUS_MINUS}{plain_number(half, decimals)}"

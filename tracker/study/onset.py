@@ -1,6 +1,6 @@
-"""When something begins in a signal: a lamp or a trigger that goes on, a pressure or an angle that leaves its rest.
+"""Onset detection: a lamp or a trigger that goes on, a pressure or an angle that begins to change.
 
-Two signals are brought together by their onsets in `synchronisation.py`.
+Two signals are synchronised by their onsets in `synchronisation.py`.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ import numpy as np
 from ..errors import StudyError
 from ..types import FloatArray
 
-# Two levels must be so many standard deviations of the noise apart to be told from it.
+# Least distance of two levels, in standard deviations of the noise.
 _CLEAR = 6.0
-# A signal that is to leave its rest must show one first; what comes before the onset is looked at for so long.
+# Required rest at the start of a signal, and the time before the onset that is fitted.
 _REST_S = 0.5
 _BEFORE_S = 1.0
-# A departure must last so long to be one.
+# Least duration of a departure from rest.
 _LASTING_S = 0.1
-# The beginning is fitted over two lengths: where no shape describes it they differ, by about as much as each is wrong.
+# The onset is fitted over two durations after it: where no shape fits, they differ by about the error of each.
 _AFTER_S = (0.4, 0.8)
 _MIN_SAMPLES = 10
 _MAX_SAMPLES = 180
@@ -27,7 +27,15 @@ _MAX_SAMPLES = 180
 
 @dataclass(frozen=True)
 class Onset:
-    """When something begins, s on the signal's own clock, and the standard uncertainty of that, s."""
+    """Time of an onset, s on the signal's own clock, and its standard uncertainty, s.
+
+    Attributes
+    ----------
+    time_s : float
+        Time of the onset, s.
+    sd_s : float
+        Its standard uncertainty, s.
+    """
 
     time_s: float
     sd_s: float
@@ -41,8 +49,15 @@ def rising_edges(time_s: FloatArray, value: FloatArray, where: str) -> list[Onse
 
     Parameters
     ----------
-    time_s, value : (M,) rising times, s; NaN values are left out
-    where : opens the message
+    time_s, value : ndarray of float
+        (M,) rising times in s, and the signal; NaN values are ignored.
+    where : str
+        Begins error messages.
+
+    Returns
+    -------
+    list of Onset
+        All rising edges, in the order of time.
 
     Raises
     ------
@@ -62,21 +77,28 @@ def rising_edges(time_s: FloatArray, value: FloatArray, where: str) -> list[Onse
     return [Onset(float(t), float(gap / 12**0.5)) for t, gap in zip(middles, gaps, strict=True)]
 
 
-def leaving_rest(time_s: FloatArray, value: FloatArray, where: str) -> Onset:
-    """When a signal that rests at first begins to rise or fall.
+def onset_from_rest(time_s: FloatArray, value: FloatArray, where: str) -> Onset:
+    """Time at which a signal that is at rest begins to rise or fall.
 
-    A rest and the beginning of a change are fitted around the first departure that is clear of the noise, over two
-    lengths; the difference between the two is part of the uncertainty beside the fit's own.
+    A rest followed by a change is fitted around the first departure above the noise, over two durations; the
+    difference between the two results is added to the uncertainty of the fit.
 
     Parameters
     ----------
-    time_s, value : (M,) rising times, s; NaN values are left out
-    where : opens the message
+    time_s, value : ndarray of float
+        (M,) rising times in s, and the signal; NaN values are ignored.
+    where : str
+        Begins error messages.
+
+    Returns
+    -------
+    Onset
+        The onset.
 
     Raises
     ------
     StudyError
-        The signal does not rest at first, or does not leave its rest.
+        The signal does not begin with a rest, or stays at rest.
     """
     time_s, value = _known(time_s, value, where)
     n_rest = int(np.searchsorted(time_s, time_s[0] + _REST_S))
@@ -87,10 +109,10 @@ def leaving_rest(time_s: FloatArray, value: FloatArray, where: str) -> Onset:
             f"{where}: expected a rest of {_REST_S:g} s and an onset after it, got too few samples"
         )
     rest = float(np.mean(value[:n_rest]))
-    # About a line, so that a signal that moves from the beginning is no noise.
+    # Noise around a fitted line, so that a drift is not counted as noise.
     line = np.polynomial.Polynomial.fit(time_s[:n_rest], value[:n_rest], 1)
     noise = float(np.std(value[:n_rest] - line(time_s[:n_rest]), ddof=2))
-    # A running mean over what lasts; a signal without noise still has digits.
+    # A running mean over the least duration; a signal without noise still has rounding.
     smooth = np.convolve(value - rest, np.full(n_lasting, 1 / n_lasting), mode="valid")
     clear = max(_CLEAR * noise / n_lasting**0.5, 1e-3 * float(np.ptp(value)))
     beyond = np.abs(smooth) > clear
@@ -106,16 +128,16 @@ def leaving_rest(time_s: FloatArray, value: FloatArray, where: str) -> Onset:
 
 
 def _begin_of(t: FloatArray, v: FloatArray) -> Onset:
-    """Onset of samples (N,) that rest and then begin to change, by how well each moment explains them.
+    """Onset of samples (N,) that rest and then begin to change: the posterior mean over all onsets.
 
-    A change of unknown shape is taken for one of three: a ramp to a level, an approach to a level, a slope that sets in
-    gradually; each with a time of its own. All moments, shapes and times are weighed by their likelihood
-    (Gaussian noise, as large as the best fit leaves), so that what cannot be told apart makes the onset unsure.
+    The change is one of three shapes: a ramp to a level, an exponential approach to a level, a gradual slope; each
+    with its own time constant. All onsets, shapes and time constants are weighted by their likelihood (Gaussian
+    noise with the variance of the best fit), so their ambiguity is part of the uncertainty.
     """
     t, v = _thinned(t, v)
     begins = np.linspace(t[0], t[-1], 42)[1:-1]
     lasts = (t[-1] - t[0]) * np.geomspace(0.01, 3, 40)
-    for _ in range(3):  # closer and closer around the likely ones
+    for _ in range(3):  # on a finer grid around the likely onsets
         squares = np.stack([_misfits(t, v, begins, last) for last in lasts])
         noise = max(float(squares.min()) / max(1, len(t) - 4), 1e-300)
         weight = np.exp(-(squares - squares.min()) / (2 * noise)).sum(axis=(0, 1))
@@ -123,19 +145,19 @@ def _begin_of(t: FloatArray, v: FloatArray) -> Onset:
         mean = float(weight @ begins)
         sd = float(np.sqrt(weight @ (begins - mean) ** 2 + (begins[1] - begins[0]) ** 2 / 12))
         begins = np.linspace(max(t[0], mean - 5 * sd), min(t[-1], mean + 5 * sd), 40)
-    # Between two samples nothing is known.
+    # The onset is unknown between two samples.
     return Onset(mean, float(np.hypot(sd, np.median(np.diff(t)) / 12**0.5)))
 
 
 def _thinned(t: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Means of neighbouring samples where there are more than are needed; the noise's share of information stays."""
+    """Means of neighbouring samples where there are more than needed; no information is lost."""
     n = max(1, len(t) // _MAX_SAMPLES)
     whole = len(t) // n * n
     return t[:whole].reshape(-1, n).mean(axis=1), v[:whole].reshape(-1, n).mean(axis=1)
 
 
 def _misfits(t: FloatArray, v: FloatArray, begins: FloatArray, last: float) -> FloatArray:
-    """Sums of squares (3, B) that the shapes leave, begun at B moments, with the best rest and height."""
+    """Residual sums of squares (3, B) of the shapes for B onsets, with the best rest level and height."""
     since = np.maximum(t - begins[:, None], 0) / last
     shapes = np.stack([np.minimum(since, 1), -np.expm1(-since), since**2 / (1 + since)])
     shapes -= shapes.mean(axis=2, keepdims=True)

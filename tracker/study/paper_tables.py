@@ -1,6 +1,6 @@
-"""The tables that people read, after the paper's: which rows and columns, rounded to their intervals, as text.
+"""The report's tables, after the paper's: selected rows and columns, rounded to their intervals, as text.
 
-Full precision and every row are in the CSVs (`tables.py`); how a table is set is `latex.py` and `report_parts.py`.
+Full precision and every row are in the CSVs (`tables.py`); tables are typeset by `latex.py` and `report_parts.py`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,15 @@ Row = Mapping[Any, Any]
 
 @dataclass(frozen=True)
 class TableColumn:
-    """A heading with its unit, and whether the column is set as numbers."""
+    """A heading with its unit, and whether the column is set as numbers.
+
+    Attributes
+    ----------
+    heading : str
+        Heading, with the unit.
+    numeric : bool
+        Whether the cells are aligned as numbers.
+    """
 
     heading: str
     numeric: bool = True
@@ -35,10 +43,16 @@ class PaperTable:
 
     Attributes
     ----------
-    name : of its file, and of its label in LaTeX
-    caption, note : above and below
-    rows : one text a column
-    grouped : rows with the same first cell belong together, a line stands between groups
+    name : str
+        Name of its file, and of its label in LaTeX.
+    caption, note : str
+        Text above and below the table.
+    columns : tuple of TableColumn
+        Headings of the columns.
+    rows : tuple of tuple of str
+        One string for each column.
+    grouped : bool
+        Rows with the same first cell form a group; groups are separated by a line.
     """
 
     name: str
@@ -50,11 +64,19 @@ class PaperTable:
 
 
 def paper_tables(results: StudyResults, labels: Mapping[str, str]) -> list[PaperTable]:
-    """All tables of a study that have rows, the most telling first.
+    """All tables of a study that have rows, the most important first.
 
     Parameters
     ----------
-    labels : what a design is called, by its name
+    results : StudyResults
+        Results of the study.
+    labels : mapping of str to str
+        Label of each design, by its name.
+
+    Returns
+    -------
+    list of PaperTable
+        The tables.
     """
     tables = [
         _constant_angle(results, labels),
@@ -68,7 +90,18 @@ def paper_tables(results: StudyResults, labels: Mapping[str, str]) -> list[Paper
 
 
 def widest_comparisons(constant_angle: pd.DataFrame) -> pd.DataFrame:
-    """Of each design at each frequency the comparison at the largest angle, where one could be made."""
+    """Of each design at each frequency the comparison at the largest angle, where one could be made.
+
+    Parameters
+    ----------
+    constant_angle : DataFrame
+        `StudyResults.constant_angle`.
+
+    Returns
+    -------
+    DataFrame
+        Rows of it.
+    """
     made = constant_angle.dropna(subset=["design_ratio", "baseline_ratio"])
     if made.empty:
         return made
@@ -76,33 +109,98 @@ def widest_comparisons(constant_angle: pd.DataFrame) -> pd.DataFrame:
 
 
 def best_comparisons(constant_angle: pd.DataFrame) -> pd.DataFrame:
-    """At each frequency the design that improves most, of those in `widest_comparisons`."""
+    """At each frequency the design that improves most, of those in `widest_comparisons`.
+
+    Parameters
+    ----------
+    constant_angle : DataFrame
+        `StudyResults.constant_angle`.
+
+    Returns
+    -------
+    DataFrame
+        Rows of it, one per frequency.
+    """
     widest = widest_comparisons(constant_angle).dropna(subset=["improvement"])
     if widest.empty:
         return widest
     return widest.loc[widest.groupby("frequency_hz")["improvement"].idxmax()]
 
 
-def interval_words(results: StudyResults) -> str:
-    """What "±" means in the tables."""
+def interval_note(results: StudyResults) -> str:
+    """What "±" means in the tables.
+
+    Parameters
+    ----------
+    results : StudyResults
+        Results of the study.
+
+    Returns
+    -------
+    str
+        Text for the note of a table.
+    """
     return f"± is half the {100 * results.confidence:g} % interval"
 
 
 def interval_of(row: Row, column: str, decimals: int, *, scale: float = 1.0) -> str:
-    """A column with its interval from a row of the results, times `scale`."""
+    """A column with its interval from a row of the results, times `scale`.
+
+    Parameters
+    ----------
+    row : Row
+        A row of a table of the results.
+    column : str
+        Name of a column with an interval.
+    decimals : int
+        Least number of decimals.
+    scale : float, optional
+        Factor.
+
+    Returns
+    -------
+    str
+        For example "0.279 ± 0.004".
+    """
     value, low, high = (scale * float(row[name]) for name in (column, f"{column}_low", f"{column}_high"))
     return with_interval(value, low, high, decimals)
 
 
 def percent_of(row: Row, column: str) -> str:
-    """A share with its interval, in per cent."""
+    """A fraction with its interval, in per cent.
+
+    Parameters
+    ----------
+    row : Row
+        A row of a table of the results.
+    column : str
+        Name of a column with an interval.
+
+    Returns
+    -------
+    str
+        For example "21.5 ± 1.2 %".
+    """
     if not math.isfinite(row[column]):
         return MISSING
     return f"{interval_of(row, column, 1, scale=100)}\u00a0%"
 
 
-def amount(value: float, unit: str) -> str:
-    """A nominal value with its unit, as it was given; a dash where it was not."""
+def with_unit(value: float, unit: str) -> str:
+    """A nominal value with its unit, as given; a dash where none was given.
+
+    Parameters
+    ----------
+    value : float
+        The number, NaN where not given.
+    unit : str
+        Its unit.
+
+    Returns
+    -------
+    str
+        For example "45 kPa".
+    """
     return f"{value:g} {unit}" if math.isfinite(value) else MISSING
 
 
@@ -122,7 +220,7 @@ def _constant_angle(results: StudyResults, labels: Mapping[str, str]) -> PaperTa
         ),
         rows=tuple(
             (
-                amount(row["frequency_hz"], "Hz"),
+                with_unit(row["frequency_hz"], "Hz"),
                 f"{row['angle_deg']:g}°",
                 labels[row["design"]],
                 interval_of(row, "design_ratio", 3),
@@ -135,7 +233,7 @@ def _constant_angle(results: StudyResults, labels: Mapping[str, str]) -> PaperTa
         ),
         note=(
             f"At the largest compared angle that the design and {baseline} both reach, by straight lines between "
-            f"trials; all angles, and what was refused, in constant_angle.csv. {interval_words(results)}."
+            f"trials; all angles, and what was refused, in constant_angle.csv. {interval_note(results)}."
         ),
         grouped=True,
     )
@@ -161,8 +259,8 @@ def _responses(results: StudyResults, labels: Mapping[str, str]) -> PaperTable:
         ),
         rows=tuple(
             (
-                amount(row["frequency_hz"], "Hz"),
-                amount(row["pressure_pp_kpa"], "kPa"),
+                with_unit(row["frequency_hz"], "Hz"),
+                with_unit(row["pressure_pp_kpa"], "kPa"),
                 labels[row["design"]],
                 interval_of(row, "design_value", 2),
                 interval_of(row, "baseline_value", 2),
@@ -170,7 +268,7 @@ def _responses(results: StudyResults, labels: Mapping[str, str]) -> PaperTable:
             )
             for row in order.to_dict("records")
         ),
-        note=f"{interval_words(results)}.",
+        note=f"{interval_note(results)}.",
         grouped=True,
     )
 
@@ -180,11 +278,11 @@ def _ranking(results: StudyResults, labels: Mapping[str, str]) -> PaperTable:
     rows = []
     for row in results.ranking.to_dict("records"):
         by_angle = row["metric"] == "hysteresis_ratio"
-        held = f"{row['angle_deg']:g}°" if by_angle else amount(row["pressure_pp_kpa"], "kPa")
+        held = f"{row['angle_deg']:g}°" if by_angle else with_unit(row["pressure_pp_kpa"], "kPa")
         apart = row["apart_from_next"]
         rows.append(
             (
-                f"{words[row['metric']]}, {amount(row['frequency_hz'], 'Hz')}, {held}",
+                f"{words[row['metric']]}, {with_unit(row['frequency_hz'], 'Hz')}, {held}",
                 f"{row['rank']}",
                 labels[row["design"]],
                 interval_of(row, "value", 3 if by_angle else 2),
@@ -204,8 +302,8 @@ def _ranking(results: StudyResults, labels: Mapping[str, str]) -> PaperTable:
         rows=tuple(rows),
         note=(
             f"Larger dynamic responses and smaller ratios are better. Apart: the difference to the next design is "
-            f"beyond chance at {100 * (1 - results.confidence):g} % after Holm's correction for all pairs "
-            f"compared under the same condition. {interval_words(results)}."
+            f"significant at {100 * (1 - results.confidence):g} % after Holm's correction for all pairs "
+            f"compared under the same condition. {interval_note(results)}."
         ),
         grouped=True,
     )
@@ -239,8 +337,8 @@ def _trials(results: StudyResults, labels: Mapping[str, str]) -> PaperTable:
         rows=tuple(
             (
                 labels[row["design"]],
-                amount(row["frequency_hz"], "Hz"),
-                amount(row["pressure_pp_kpa"], "kPa"),
+                with_unit(row["frequency_hz"], "Hz"),
+                with_unit(row["pressure_pp_kpa"], "kPa"),
                 f"{used.get(row['trial'], 0)} of {complete.get(row['trial'], 0)}",
                 *(interval_of(row, column, decimals) for column, _, decimals in _TRIAL_METRICS),
                 plain_number(row["ratio_per_frame_shift"], 4),
@@ -249,7 +347,7 @@ def _trials(results: StudyResults, labels: Mapping[str, str]) -> PaperTable:
             for row in results.dynamic.to_dict("records")
         ),
         note=(
-            f"{interval_words(results)}. Shift: by how much the ratio would grow if the pressure were one frame "
+            f"{interval_note(results)}. Shift: by how much the ratio would grow if the pressure were one frame "
             f"earlier. Repeatability: spread (standard deviation) of the angle between cycles, "
             f"one frame's noise included. More columns in dynamic.csv, every cycle in cycles.csv."
         ),
@@ -279,7 +377,7 @@ def _static(results: StudyResults, labels: Mapping[str, str]) -> PaperTable:
             )
             for row in compared.to_dict("records")
         ),
-        note=f"First pressurisation; NRMSE over the range of the measured curve. {interval_words(results)}.",
+        note=f"First pressurisation; NRMSE over the range of the measured curve. {interval_note(results)}.",
     )
 
 
@@ -295,7 +393,7 @@ def _control(results: StudyResults) -> PaperTable:
             rows.append(
                 (
                     wave,
-                    amount(pressure, "kPa"),
+                    with_unit(pressure, "kPa"),
                     f"{len(here)}",
                     plain_number(pooled["rmse_kpa"], 2),
                     f"{plain_number(100 * pooled['nrmse'], 2)} %",

@@ -1,6 +1,6 @@
-"""A pressure log of any make: time in s and pressure in kPa, with what is wrong with it said, never smoothed over.
+"""A pressure log in any format: time in s and pressure in kPa; its faults are reported, never hidden.
 
-How files give columns is in `csv_log.py` and `matlab_log.py`; how the log comes to the frames in `trial_data.py`.
+Columns are read from files by `csv_log.py` and `matlab_log.py`; `trial_data.py` resamples the log at the frames.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from .log_format import LogFormat
 from .matlab_log import matlab_columns
 from .units import KPA_IN, PRESSURE_UNITS, SECONDS_IN, factor_to_kpa, known_unit
 
-# Without a written unit a time is taken to be in seconds only where that gives a rate that pressure is logged at.
+# Without a unit, times are taken as seconds only where that gives a plausible sampling rate.
 _PLAUSIBLE_HZ = (4.0, 20_000.0)
-# Numbers beyond this are no time from a start but a date: seconds since 1970 reach it in 2001.
+# Larger numbers are dates, not times from a start: seconds since 1970 passed this in 2001.
 _EPOCH = 1e9
 _EPOCH_UNITS = ((1e18, "ns"), (1e15, "us"), (1e12, "ms"), (_EPOCH, "s"))
 _DAY_S = 86_400.0
@@ -39,15 +39,24 @@ class PressureLog:
 
     Attributes
     ----------
-    time_s : (M,) rising; where dates were logged, from the first sample
-    pressure_kpa : (M,) NaN where the log has none
-    reference_kpa : (M,) the wave that was asked for, if the log holds it
-    sync : (M,) the sync channel as logged, if there is one
-    started_s : seconds since 1970 (UTC, or of a clock without zone) of time 0, where dates were logged
-    time_sd_s : uncertainty that the log's own clock adds (a clock that ticks coarsely)
-    saturated : (M,) samples held at an end of the sensor's range; None: there are none
-    warnings : a line each
-    provenance : JSON-ready: file, hash, columns, units, rate
+    time_s : ndarray of float
+        (M,) rising times, s; where dates were logged, from the first sample.
+    pressure_kpa : ndarray of float
+        (M,) NaN where the log has none.
+    reference_kpa : ndarray of float or None
+        (M,) the reference wave, if the log holds it.
+    sync : ndarray of float or None
+        (M,) the sync channel as logged, if there is one.
+    started_s : float or None
+        Date of time 0, in seconds since 1970 (UTC, or a clock without zone), where dates were logged.
+    time_sd_s : float
+        Standard uncertainty of the log's own clock (coarse time resolution), s.
+    saturated : ndarray of bool or None
+        (M,) samples saturated at a limit of the sensor's range; None where there are none.
+    warnings : tuple of str
+        Warnings, a line each.
+    provenance : mapping of str to Any
+        JSON-ready: file, hash, columns, units, rate.
     """
 
     time_s: FloatArray
@@ -64,14 +73,26 @@ class PressureLog:
 def read_pressure_log(path: str | Path, log_format: LogFormat | None = None) -> PressureLog:
     """Read a pressure log: a text table (CSV of any delimiter and decimal sign) or a MATLAB file (v5, v7.3).
 
-    Columns and units are as `log_format` says, else as the headers say ("P [kPa]", "pressure_psi", "t (ms)").
-    Times may be numbers, written dates or times of day. Rows are put in the order of time as `log_clock`
-    says; gaps, repeats, clock jumps, saturation, constant and negative pressure are told in `warnings`.
+    Columns and units are taken from `log_format`, else from the headers ("P [kPa]", "pressure_psi", "t (ms)").
+    Times may be numbers, written dates or times of day. Rows are sorted by time as in `log_clock`;
+    gaps, repeats, clock jumps, saturation, constant and negative pressure are reported in `warnings`.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    log_format : LogFormat or None, optional
+        The user's settings; None detects everything.
+
+    Returns
+    -------
+    PressureLog
+        The log.
 
     Raises
     ------
     PressureLogError
-        Not a log; a column, unit or clock is missing, or several could be meant (they are listed).
+        Not a log; a column, unit or clock is missing, or several are possible (they are listed).
     """
     path, log_format = Path(path), log_format or LogFormat()
     columns, warnings = _columns_of(path)
@@ -99,10 +120,10 @@ def read_pressure_log(path: str | Path, log_format: LogFormat | None = None) -> 
         pressure_kpa=kpa,
         reference_kpa=None
         if reference is None
-        else _beside(reference, pressure, seconds, log_format, path)[clock.rows],
+        else _reference_kpa(reference, pressure, seconds, log_format, path)[clock.rows],
         sync=None if sync is None else sync.values[clock.rows],
         started_s=started_s,
-        # A sample's true time lies anywhere in its tick.
+        # A sample's true time is uniformly distributed within one tick.
         time_sd_s=clock.tick_s / 12**0.5,
         saturated=saturated if saturated.any() else None,
         warnings=(*warnings, *clock.warnings, *faults),
@@ -133,16 +154,18 @@ def _columns_of(path: Path) -> tuple[list[LogColumn], list[str]]:
     return csv_columns(path)
 
 
-def _counted(n_samples: int, asked: LogFormat, where: str) -> FloatArray:
-    if asked.rate_hz is None:
+def _counted(n_samples: int, log_format: LogFormat, where: str) -> FloatArray:
+    if log_format.rate_hz is None:
         raise PressureLogError(
             f"{where}: expected a column of time, found none by name or unit; give time_column, or rate_hz"
         )
-    return np.arange(n_samples) / asked.rate_hz
+    return np.arange(n_samples) / log_format.rate_hz
 
 
-def _seconds(time: LogColumn, asked: LogFormat, where: str) -> tuple[FloatArray, float | None, list[str]]:
-    """Times (N,) in s, the date of time 0 where dates were logged, and what was worked around."""
+def _seconds(
+    time: LogColumn, log_format: LogFormat, where: str
+) -> tuple[FloatArray, float | None, list[str]]:
+    """Times (N,) in s, the date of time 0 where dates were logged, and warnings."""
     values = time.values
     notes: list[str] = []
     if np.isfinite(values).sum() < 2:
@@ -155,7 +178,7 @@ def _seconds(time: LogColumn, asked: LogFormat, where: str) -> tuple[FloatArray,
             values = values + _DAY_S * midnight
             return values - np.nanmin(values), None, notes
         return values - np.nanmin(values), float(np.nanmin(values)), notes
-    unit = _agreed(time.unit, asked.time_unit, "time", where, time.name)
+    unit = _agreed(time.unit, log_format.time_unit, "time", where, time.name)
     if unit is not None and unit not in SECONDS_IN:
         raise PressureLogError(
             f"{where}: column '{time.name}': expected a unit of time ({', '.join(SECONDS_IN)}), got '{unit}'"
@@ -178,15 +201,15 @@ def _seconds(time: LogColumn, asked: LogFormat, where: str) -> tuple[FloatArray,
     return values * factor, None, notes
 
 
-def _kpa(column: LogColumn, asked: LogFormat, where: str) -> tuple[FloatArray, str]:
-    unit = _agreed(column.unit, asked.pressure_unit, "pressure", where, column.name)
+def _kpa(column: LogColumn, log_format: LogFormat, where: str) -> tuple[FloatArray, str]:
+    unit = _agreed(column.unit, log_format.pressure_unit, "pressure", where, column.name)
     if unit is None:
         raise PressureLogError(
             f"{where}: column '{column.name}' names no unit; give pressure_unit ({', '.join(PRESSURE_UNITS)})"
         )
-    factor = factor_to_kpa(unit, asked.gain_kpa_per_v, f"{where}: column '{column.name}'")
+    factor = factor_to_kpa(unit, log_format.gain_kpa_per_v, f"{where}: column '{column.name}'")
     values = np.where(np.isfinite(column.values), column.values, np.nan)
-    return values * factor + asked.offset_kpa, unit
+    return values * factor + log_format.offset_kpa, unit
 
 
 def _agreed(written: str | None, given: str | None, what: str, where: str, name: str) -> str | None:
@@ -196,20 +219,20 @@ def _agreed(written: str | None, given: str | None, what: str, where: str, name:
     if written is not None and known_unit(written) is not None and written != given:
         raise PressureLogError(
             f"{where}: column '{name}' is in {written} by its header, {what}_unit says {given}; "
-            f"leave {what}_unit out, or mend the header"
+            f"leave {what}_unit out, or correct the header"
         )
     return given
 
 
-def _beside(
-    reference: LogColumn, pressure: LogColumn, seconds: FloatArray, asked: LogFormat, path: Path
+def _reference_kpa(
+    reference: LogColumn, pressure: LogColumn, seconds: FloatArray, log_format: LogFormat, path: Path
 ) -> FloatArray:
     """The reference wave in kPa at the pressure's samples. Without a unit of its own it has the pressure's."""
     own = replace(reference, unit=reference.unit or pressure.unit)
-    # A wave asked for in kPa stands beside a sensor's voltage.
+    # The reference may be in kPa where the sensor's voltage was logged.
     if own.unit in KPA_IN and own.unit != pressure.unit:
-        asked = LogFormat()
-    kpa, _ = _kpa(own, asked, str(path))
+        log_format = LogFormat()
+    kpa, _ = _kpa(own, log_format, str(path))
     if len(kpa) == len(seconds) and (
         reference.time is None
         or pressure.time is None
@@ -221,5 +244,5 @@ def _beside(
             f"{path}: expected a reference of {len(seconds)} samples as the pressure has, "
             f"got {len(kpa)} in '{reference.name}'"
         )
-    own_s, _, _ = _seconds(reference.time, asked, str(path))
+    own_s, _, _ = _seconds(reference.time, log_format, str(path))
     return np.interp(seconds, own_s, kpa, left=np.nan, right=np.nan)

@@ -1,6 +1,6 @@
 """The report of a study: figures, tables and one self-contained HTML page, written into a folder.
 
-What is said is `findings.py`, `methods.py` and `paper_tables.py`; how the page is set is `report_page.html` and
+Its text comes from `findings.py`, `methods.py` and `paper_tables.py`; its HTML from `report_page.html` and
 `report_parts.py`.
 """
 
@@ -29,16 +29,16 @@ from .findings import main_findings
 from .latex import latex_table
 from .methods import DEFINITIONS, methods_text
 from .number_text import MINUS, plain_number
-from .paper_tables import PaperTable, amount, interval_of, paper_tables
+from .paper_tables import PaperTable, interval_of, paper_tables, with_unit
 from .plots.figure_set import WrittenFigure, start_trial_sheets, write_study_figures
-from .plots.looks import looks_of
+from .plots.styles import design_styles
 from .report_parts import (
     Part,
+    collapsed_html,
     contents_html,
     definitions_html,
     figure_html,
-    folded_html,
-    key_html,
+    legend_html,
     list_html,
     paragraph_html,
     part_html,
@@ -48,8 +48,8 @@ from .study_file import Study
 from .tables import write_csv_tables
 from .trial import Kind, TrialData
 
-# Where each figure and each table of the paper stands in the report.
-_PLACES: tuple[tuple[str, str, tuple[str, ...], tuple[str, ...]], ...] = (
+# Sections of the report: heading, anchor, tables, figures.
+_SECTIONS: tuple[tuple[str, str, tuple[str, ...], tuple[str, ...]], ...] = (
     (
         "Hysteresis",
         "hysteresis",
@@ -70,17 +70,26 @@ def write_report(
 ) -> Path:
     """Write figures/*.pdf and *.png, tables/*.csv and *.tex, and report.html, each whole or not at all.
 
-    The page holds its pictures and asks for nothing from elsewhere: it can be mailed or kept.
+    The page is self-contained: its images are embedded and nothing is loaded from elsewhere.
 
     Parameters
     ----------
-    trials : those that `results` come from
-    workers : processes that draw the trials' own figures beside this one; 0 for none. Each starts a Python of its
-        own, so a script that asks for them needs the usual `if __name__ == "__main__":`.
+    results : StudyResults
+        All tables of the study.
+    trials : sequence of TrialData
+        The trials that `results` were computed from.
+    study : Study
+        The study file.
+    out_dir : str or Path
+        Folder to write into, made with its parents.
+    workers : int, optional
+        Number of additional processes that draw the trials' own figures. Each starts its own Python, so a script
+        that uses them needs the usual `if __name__ == "__main__":`.
 
     Returns
     -------
-    report.html
+    Path
+        Path of report.html.
 
     Raises
     ------
@@ -93,10 +102,10 @@ def write_report(
             (out / folder).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ResultsError(f"{out}: cannot be written ({reason(error)})") from error
-    looks = looks_of((name, design.label, design.colour) for name, design in study.designs.items())
+    styles = design_styles((name, design.label, design.colour) for name, design in study.designs.items())
     labels = {name: design.label for name, design in study.designs.items()}
-    with start_trial_sheets(results, trials, looks, out / "figures" / "trials", workers) as sheets:
-        figures = write_study_figures(results, trials, looks, out / "figures")
+    with start_trial_sheets(results, trials, styles, out / "figures" / "trials", workers) as sheets:
+        figures = write_study_figures(results, trials, styles, out / "figures")
         tables = paper_tables(results, labels)
         _write_tables(results, tables, out / "tables")
         trial_sheets = sheets.collect()
@@ -133,7 +142,7 @@ def _page(
     labels = {name: design.label for name, design in study.designs.items()}
     numbers = {figure.name: number for number, figure in enumerate(_in_page_order(figures), start=1)}
     parts = [Part("Summary", "summary", list_html(main_findings(results, labels), "findings"))]
-    for heading, anchor, table_names, figure_names in _PLACES:
+    for heading, anchor, table_names, figure_names in _SECTIONS:
         shown = [table_html(table) for table in tables if table.name in table_names]
         shown += [
             _figure_html(figure, f"Figure {numbers[figure.name]}.")
@@ -156,18 +165,18 @@ def _page(
         version=escape(version("bendtrack")),
         title=escape(study.title),
         subtitle=escape(_subtitle(results, trials)),
-        key=key_html([(design.label, design.colour) for design in used]),
+        key=legend_html([(design.label, design.colour) for design in used]),
         contents=contents_html(parts),
         body="\n".join(part_html(part) for part in parts),
         footer=escape(
-            f"Written by bendtrack {version('bendtrack')}. Every figure lies beside this page in figures/ "
+            f"Written by bendtrack {version('bendtrack')}. Every figure lies next to this page in figures/ "
             f"(PDF, PNG at 300 dpi), every table in tables/ (CSV, LaTeX)."
         ),
     )
 
 
 def _in_page_order(figures: Sequence[WrittenFigure]) -> list[WrittenFigure]:
-    order = [name for *_, names in _PLACES for name in names]
+    order = [name for *_, names in _SECTIONS for name in names]
     return sorted(figures, key=lambda figure: order.index(figure.name))
 
 
@@ -183,14 +192,14 @@ def _figure_html(figure: WrittenFigure, number: str) -> str:
 
 def _subtitle(results: StudyResults, trials: Sequence[TrialData]) -> str:
     counts = {kind: sum(trial.kind is kind for trial in trials) for kind in Kind}
-    said = [_counted(len({trial.design for trial in trials}), "design")]
+    parts = [_counted(len({trial.design for trial in trials}), "design")]
     if counts[Kind.DYNAMIC]:
         used = int(results.cycles["used"].sum())
-        said.append(f"{_counted(counts[Kind.DYNAMIC], 'dynamic trial')} with {_counted(used, 'cycle')} used")
+        parts.append(f"{_counted(counts[Kind.DYNAMIC], 'dynamic trial')} with {_counted(used, 'cycle')} used")
     if counts[Kind.STATIC]:
-        said.append(_counted(counts[Kind.STATIC], "static trial"))
-    said.append(_counted(sum(len(trial.time_s) for trial in trials), "frame"))
-    return " · ".join(said)
+        parts.append(_counted(counts[Kind.STATIC], "static trial"))
+    parts.append(_counted(sum(len(trial.time_s) for trial in trials), "frame"))
+    return " · ".join(parts)
 
 
 def _counted(number: int, thing: str) -> str:
@@ -203,12 +212,14 @@ def _trials_part(
     labels: Mapping[str, str],
     sheets: Mapping[str, WrittenFigure],
 ) -> Part:
-    """Every trial, folded: its sheet, its warnings, how its clocks were brought together."""
-    said = results.warnings.groupby("trial")["warning"].apply(list).to_dict() if len(results.warnings) else {}
+    """Every trial, collapsed: its sheet, its warnings, how its clocks were synchronised."""
+    warnings_of = (
+        results.warnings.groupby("trial")["warning"].apply(list).to_dict() if len(results.warnings) else {}
+    )
     values = {row["trial"]: row for row in results.dynamic.to_dict("records")}
-    folded: dict[str, list[str]] = {}
+    by_design: dict[str, list[str]] = {}
     for number, trial in enumerate(trials, start=1):
-        warnings = said.get(trial.name, [])
+        warnings = warnings_of.get(trial.name, [])
         sheet = sheets[trial.name]
         gaps = (
             " Short bars on the time axis: frames without an angle."
@@ -219,10 +230,10 @@ def _trials_part(
             sheet.png,
             name="",
             alt=f"{trial.name}: bending angle and pressure over time, and angle against pressure",
-            caption=f"{_clock_words(trial)}{gaps} (figures/{sheet.name}.pdf)",
+            caption=f"{_clock_caption(trial)}{gaps} (figures/{sheet.name}.pdf)",
         )
         nominal = [
-            amount(float(value), unit)
+            with_unit(float(value), unit)
             for value, unit in ((trial.frequency_hz, "Hz"), (trial.pressure_pp_kpa, "kPa"))
             if value is not None
         ]
@@ -233,23 +244,23 @@ def _trials_part(
         ):
             aside.append(f"ratio {interval_of(values[trial.name], 'hysteresis_ratio', 3)}")
         mark = _counted(len(warnings), "warning") if warnings else ""
-        folded.setdefault(trial.design, []).append(
-            folded_html(trial.name, ", ".join(aside), mark, content, f"trial-{number}")
+        by_design.setdefault(trial.design, []).append(
+            collapsed_html(trial.name, ", ".join(aside), mark, content, f"trial-{number}")
         )
     parts = tuple(
-        Part(labels[design], f"design-{place}", "\n".join(items))
-        for place, (design, items) in enumerate(folded.items(), start=1)
+        Part(labels[design], f"design-{index}", "\n".join(items))
+        for index, (design, items) in enumerate(by_design.items(), start=1)
     )
     count = _counted(len(results.warnings), "warning")
     return Part(
         "Trials and warnings",
         "trials",
-        paragraph_html(f"{count} in {_counted(len(said), 'trial')}. A line opens with a click."),
+        paragraph_html(f"{count} in {_counted(len(warnings_of), 'trial')}. A line opens with a click."),
         parts,
     )
 
 
-def _clock_words(trial: TrialData) -> str:
+def _clock_caption(trial: TrialData) -> str:
     delay_s = trial.shift.delay_s
     sign = MINUS if delay_s < 0 else "+"
     return (
@@ -269,7 +280,7 @@ def _provenance_part(trials: Sequence[TrialData], study: Study) -> Part:
         ("Python", f"{platform.python_version()}, {platform.system()} {platform.machine()}", ""),
     ]
     entries = "".join(
-        folded_html(trial.name, "", "", _json_html(trial.provenance), f"source-{number}")
+        collapsed_html(trial.name, "", "", _json_html(trial.provenance), f"source-{number}")
         for number, trial in enumerate(trials, start=1)
     )
     files = Part("Files and settings of each trial", "sources", entries)

@@ -4,7 +4,7 @@ A frame shows the mean of its exposure, so the pressure that belongs to it is th
 line over one frame interval, centred on the frame, is that mean where samples are even, and is
 
 - exact on a slope, and therefore without delay, however the samples lie (a mean would not be where they are uneven);
-- an anti-alias filter with zeros at every multiple of the frame rate, which is what would fold to standing error
+- an anti-alias filter with zeros at every multiple of the frame rate, which would alias to a constant error
   (pump ripple at 60 Hz, seen at 30 fps, say), and 1 / sqrt(n) of the noise of n samples (n = 13 at 400 Hz, 30 fps);
 - low by (slope x interval / 4) on the one frame that meets a triangle's peak exactly (0.2 kPa at 25 kPa/s), as
   the angle of that frame is; nowhere else.
@@ -17,7 +17,7 @@ import numpy as np
 from ..types import FloatArray
 from .log_clock import GAP_STEPS
 
-# Samples fitted at once, so that a log at 100 kHz does not fill the memory.
+# Number of samples fitted at once, which bounds the memory for a log at 100 kHz.
 _BLOCK = 2_000_000
 
 
@@ -28,14 +28,18 @@ def pressure_at_frames(
 
     Parameters
     ----------
-    frame_time_s : (T,) rising, s
-    log_time_s, log_pressure_kpa : (M,) rising times on the same clock, s, and kPa; NaN pressures are missing samples
+    frame_time_s : ndarray of float
+        (T,) rising times, s.
+    log_time_s, log_pressure_kpa : ndarray of float
+        (M,) rising times on the same clock, s, and kPa; NaN pressures are missing samples.
 
     Returns
     -------
-    pressure_kpa : (T,) NaN for frames before or after the log or in a gap of it. Where the log has fewer samples
+    pressure_kpa : ndarray of float
+        (T,) NaN for frames before or after the log or in a gap of it. Where the log has fewer samples
         than there are frames, or they are uneven, the line goes through the two samples on the frame's sides.
-    rate_kpa_s : (T,) slope of that pressure from frame to frame, kPa/s
+    rate_kpa_s : ndarray of float
+        (T,) slope of that pressure from frame to frame, kPa/s.
     """
     known = np.isfinite(log_pressure_kpa)
     log_time_s, log_pressure_kpa = log_time_s[known], log_pressure_kpa[known]
@@ -45,7 +49,7 @@ def pressure_at_frames(
     interval_s = float(np.median(np.diff(frame_time_s)))
     step_s = float(np.median(np.diff(log_time_s)))
     half_s = max(interval_s / 2, step_s)
-    # Samples on the window's edge belong to it, whatever the last digit says.
+    # Samples on the window's edge belong to it, regardless of rounding.
     first = np.searchsorted(log_time_s, frame_time_s - half_s - 1e-9)
     last = np.searchsorted(log_time_s, frame_time_s + half_s + 1e-9)
     width = int((last - first).max())
@@ -60,7 +64,7 @@ def pressure_at_frames(
         dt = np.where(inside, log_time_s[index] - frame_time_s[block, None], 0.0)
         value = np.where(inside, log_pressure_kpa[index], 0.0)
         n = inside.sum(axis=1)
-        # A line must not reach beyond its samples: at an end or beside a gap of the log they lie on one side only.
+        # A line must not reach beyond its samples: at an end or next to a gap of the log they lie on one side only.
         before = np.where(inside, dt, np.inf).min(axis=1) <= 1e-9
         after = np.where(inside, dt, -np.inf).max(axis=1) >= -1e-9
         sound = before & after & (n >= 2)
@@ -94,6 +98,6 @@ def _line_at_zero(dt: FloatArray, value: FloatArray, n: np.ndarray) -> FloatArra
 
 
 def _runs(known: np.ndarray) -> list[tuple[int, int]]:
-    """Begin and end (exclusive) of each stretch of True."""
+    """Begin and end (exclusive) of each run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(np.int8)))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

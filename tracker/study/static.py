@@ -1,4 +1,4 @@
-"""One static trial: the steady end of every stair, the angle there with its spread, and the model curve beside it.
+"""One static trial: the steady end of every stair, the angle there with its spread, and the model curve.
 
 Source: the study's section on static analysis (angle read at each step's steady end; RMSE and NRMSE over the
 range of the measured curve, at the staircase pressures of the first pressurisation).
@@ -16,14 +16,14 @@ from ..types import FloatArray
 from .intervals import NAN, Estimate, mean_of
 from .trial import TrialData
 
-# The slope of the pressure is judged over this long.
+# Window of the pressure's slope.
 _SLOPE_S = 0.4
-# Pressure is steady where it changes more slowly than this share of the fastest ramp.
-_STEADY_SHARE = 0.06
-# A stair lasts at least this long, and is this share of the largest step away from the stair before.
-_SHORTEST_S, _APART_SHARE = 0.5, 0.2
+# Pressure is steady where it changes more slowly than this fraction of the fastest ramp.
+_STEADY_FRACTION = 0.06
+# Least duration of a stair, and its least distance from the stair before as a fraction of the largest step.
+_SHORTEST_S, _APART_FRACTION = 0.5, 0.2
 # The angle is read over the last part of a stair, from at least so many frames.
-_READ_SHARE, _FEWEST_FRAMES = 1 / 3, 5
+_READ_FRACTION, _FEWEST_FRAMES = 1 / 3, 5
 # An angle that still moves by this many of its standard deviations while it is read has not settled.
 _SETTLED_SD = 3.0
 # A range within this many standard deviations of noise, or under half a kPa, is no movement.
@@ -36,6 +36,25 @@ class Stair:
 
     `direction` is "up" or "down" from the stair before (the first has the direction of the next).
     `spread_deg` is the frames' standard deviation, `angle_deg` their mean with its uncertainty.
+
+    Attributes
+    ----------
+    number : int
+        Number of the stair, from 1.
+    direction : str
+        "up" or "down".
+    start_s, end_s : float
+        Begin and end of the steady pressure, s.
+    pressure_kpa : float
+        Mean pressure while the angle is read, kPa.
+    angle_deg : Estimate
+        Mean angle of the frames read, degrees.
+    spread_deg : float
+        Standard deviation of these frames, degrees.
+    frames : int
+        Number of these frames.
+    model_angle_deg : float
+        Angle of the model curve at this pressure, NaN where it has none.
     """
 
     number: int
@@ -51,9 +70,24 @@ class Stair:
 
 @dataclass(frozen=True)
 class StaticNumbers:
-    """The stairs of a trial, and how far the model curve is from those of the first pressurisation.
+    """The stairs of a trial, and the error of the model curve at those of the first pressurisation.
 
     `stairs_compared` counts the rising stairs within the model's range of pressures.
+
+    Attributes
+    ----------
+    stairs : tuple of Stair
+        All stairs, in the order of time.
+    range_deg : float
+        Range of the angles of the first pressurisation, degrees.
+    rmse_deg : Estimate
+        Root mean square of measured minus model angle, degrees.
+    nrmse : Estimate
+        `rmse_deg` over `range_deg`.
+    stairs_compared : int
+        Number of stairs in `rmse_deg`.
+    warnings : tuple of str
+        One sentence each.
     """
 
     stairs: tuple[Stair, ...]
@@ -65,7 +99,18 @@ class StaticNumbers:
 
 
 def measure_static(trial: TrialData) -> StaticNumbers:
-    """Stairs found from the pressure alone, their angles, and the comparison with the model curve."""
+    """Stairs found from the pressure alone, their angles, and the comparison with the model curve.
+
+    Parameters
+    ----------
+    trial : TrialData
+        The trial.
+
+    Returns
+    -------
+    StaticNumbers
+        The stairs and the comparison.
+    """
     warnings: list[str] = []
     spans = _steady_spans(trial.time_s, trial.pressure_kpa)
     if not spans:
@@ -94,11 +139,11 @@ def _steady_spans(time_s: FloatArray, pressure_kpa: FloatArray) -> list[tuple[in
     noise = 1.4826 * float(np.median(np.abs(np.diff(pressure, n=2)))) / (6 * half) ** 0.5
     if np.ptp(means) < max(_NOISE_RANGE * noise, _SMALLEST_RANGE_KPA):
         return []
-    # The mean of half a window after less that of half a window before, over the time between them.
+    # The mean of half a window after minus that of half a window before, divided by the time between them.
     ahead, behind = np.roll(means, -(half - half // 2)), np.roll(means, half // 2 + half % 2)
     slope = np.abs(ahead - behind) / (half * frame_s)
     slope[:half], slope[-half:] = slope[half], slope[-half - 1]
-    limit = max(_STEADY_SHARE * float(slope.max()), 4 * 2**0.5 * noise / (half * frame_s))
+    limit = max(_STEADY_FRACTION * float(slope.max()), 4 * 2**0.5 * noise / (half * frame_s))
     if limit > 0.5 * float(slope.max()):
         return []
     steady = slope <= limit
@@ -107,9 +152,9 @@ def _steady_spans(time_s: FloatArray, pressure_kpa: FloatArray) -> list[tuple[in
     merged: list[tuple[int, int]] = []
     level = [float(np.median(pressure[a:b])) for a, b in spans]
     steps = np.abs(np.diff(level))
-    least = _APART_SHARE * float(steps.max()) if steps.size else 0.0
-    for place, span in enumerate(spans):
-        if merged and abs(level[place] - level[place - 1]) < least:
+    least = _APART_FRACTION * float(steps.max()) if steps.size else 0.0
+    for index, span in enumerate(spans):
+        if merged and abs(level[index] - level[index - 1]) < least:
             merged[-1] = (merged[-1][0], span[1])
         else:
             merged.append(span)
@@ -122,7 +167,7 @@ def _read(
     start, end = float(trial.time_s[first]), float(trial.time_s[last - 1])
     # The very last frames may already see the next ramp.
     until = end - 2 * trial.frame_s
-    since = end - _READ_SHARE * (end - start)
+    since = end - _READ_FRACTION * (end - start)
     read = (trial.time_s >= since) & (trial.time_s <= until) & np.isfinite(trial.angle_deg)
     read &= np.isfinite(trial.pressure_kpa)
     pressure = float(np.nanmean(trial.pressure_kpa[first:last]))
@@ -155,7 +200,7 @@ def _read(
 
 
 def _model_at(trial: TrialData, pressure_kpa: float) -> float:
-    """Model angle by linear interpolation; NaN outside the curve, but for the sensor's noise at its ends."""
+    """Model angle by linear interpolation; NaN outside the curve, with a tolerance for the sensor's noise."""
     if trial.model_pressure_kpa is None or trial.model_angle_deg is None:
         return NAN
     order = np.argsort(trial.model_pressure_kpa)

@@ -1,4 +1,4 @@
-"""The study file (TOML): its trials, designs, how logs are read and clocks brought together; checked, then resolved.
+"""The study file (TOML): its trials, designs, how logs are read and clocks synchronised; checked, then resolved.
 
 A first one is written by `first_study.py`; a trial's data are read by `trial_data.py`.
 """
@@ -17,13 +17,13 @@ from pydantic import AfterValidator, Field, ValidationError, field_validator, mo
 from pydantic_core import PydanticCustomError
 
 from ..errors import StudyError
-from ..toml_files import Section, mistake_in_words, toml_text
+from ..toml_files import Section, toml_text, validation_message
 from ..types import Flag
 from .designs import DesignSettings, design_colours
 from .log_format import LogFormat
 from .trial import Kind
 
-# Rows with these flags hold an angle, and a study may keep them; the others hold none.
+# Flags of rows that hold an angle, which a study may keep; rows with other flags hold none.
 _KEEPABLE = (Flag.LOW_LIKELIHOOD, Flag.JUMP, Flag.DAMAGED)
 # The design that the others are compared with, where the file names none.
 _USUAL_BASELINE = "original"
@@ -48,13 +48,22 @@ class SyncSettings(Section):
 
     Attributes
     ----------
-    method : "shared clock" (both count from the same moment), "given delay", "sync event"
-    delay_s, sd_s : video time = log time + delay_s, with its standard uncertainty; sd_s also adds to the others
-    video_start : when the video's first frame was taken, for a shared clock where the log holds dates
-    log_event : the event in the log: "sync" (first rising edge of its sync column) or "pressure" (its onset)
-    video_event : the event in the video: "led" (a lamp goes on in led_region_px) or "angle" (its onset)
-    led_region_px : x, y, width, height in px of the region where the lamp is seen
-    log_window_s, video_window_s : where to look for the event, on each one's own clock
+    method : {'shared clock', 'given delay', 'sync event'}
+        "shared clock": both count from the same moment.
+    delay_s : float or None
+        For "given delay": video time = log time + delay_s.
+    sd_s : float
+        Standard uncertainty of that delay, s; with the other methods it is added to their own.
+    video_start : datetime or None
+        When the video's first frame was taken, for a shared clock where the log holds dates.
+    log_event : {'sync', 'pressure'}
+        The event in the log: "sync" (first rising edge of its sync column) or "pressure" (its onset).
+    video_event : {'led', 'angle'}
+        The event in the video: "led" (a lamp goes on in led_region_px) or "angle" (its onset).
+    led_region_px : tuple of (int, int, int, int) or None
+        X, y, width, height in px of the region where the lamp is seen.
+    log_window_s, video_window_s : tuple of (float, float) or None
+        Time window of the event, on the log's and on the video's clock.
     """
 
     method: Literal["shared clock", "given delay", "sync event"] = "shared clock"
@@ -164,16 +173,30 @@ class _StudyEntries(Section):
 
 @dataclass(frozen=True)
 class TrialSettings:
-    """One trial of a study, all that the file says for all trials filled in, paths ready to be opened.
+    """One trial of a study, with the file's defaults filled in and its paths resolved.
 
     Attributes
     ----------
-    name, design, kind : see `trial.TrialData`
-    frequency_hz, pressure_pp_kpa : nominal
-    angles : angle table; None where it is looked up by `video` in the results
-    video, log, reference, model : files; `reference` and `model` are None where there is none
-    log_format, sync : how the log is read, how the clocks are brought together
-    angle_common_sd_deg : standard uncertainty that all angles of the trial share
+    name, design : str
+        As in `trial.TrialData`.
+    kind : Kind
+        Static or dynamic.
+    frequency_hz, pressure_pp_kpa : float or None
+        Nominal frequency and peak-to-peak pressure, None where not given.
+    angles : Path or None
+        Angle table; None where it is looked up by `video` in the results.
+    video : Path or None
+        Video file.
+    log : Path
+        Pressure log.
+    reference, model : Path or None
+        Files of the reference wave and of the model curve; None where there is none.
+    log_format : LogFormat
+        How the log is read.
+    sync : SyncSettings
+        How the log's clock is brought to the video's.
+    angle_common_sd_deg : float
+        Standard uncertainty common to all angles of the trial.
     """
 
     name: str
@@ -197,14 +220,23 @@ class Study:
 
     Attributes
     ----------
-    path : the file
-    title : of the report
-    baseline : the design that the others are compared with; None where the file names none and there is no "original"
-    designs : by name, in the order of the file
-    trials : in the order of the file
-    results : folder of angle tables, in which a trial's video is looked up
-    keep_flagged : flags (see `types.Flag`) of rows whose angle is used all the same; other flagged rows are gaps
-    compare_angles_deg : where hysteresis ratios of designs are compared; empty leaves it to the analysis
+    path : Path
+        Path of the study file.
+    title : str
+        Title of the report.
+    baseline : str or None
+        The design that the others are compared with; None where the file names none and there is no
+        "original".
+    designs : dict of str to DesignSettings
+        Designs by name, in the order of the file.
+    trials : tuple of TrialSettings
+        Trials in the order of the file.
+    results : Path or None
+        Folder of angle tables, in which a trial's video is looked up.
+    keep_flagged : tuple of str
+        Flags (see `types.Flag`) of rows whose angle is used; other flagged rows are gaps.
+    compare_angles_deg : tuple of float
+        Angles at which hysteresis ratios are compared; empty: chosen by the analysis.
     """
 
     path: Path
@@ -218,17 +250,28 @@ class Study:
 
     @property
     def root(self) -> Path:
-        """The folder that paths in the file begin from."""
+        """The folder to which paths in the file are relative."""
         return self.path.parent
 
 
 def read_study(path: str | Path) -> Study:
     """Read a study file. The files that it names need not be there yet.
 
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+
+    Returns
+    -------
+    Study
+        The study, with resolved paths.
+
     Raises
     ------
     StudyError
-        No such file, not TOML, an unknown key, a wrong value; with the key, what was expected and what came.
+        No such file, not TOML, an unknown key, a wrong value; the message gives the key, what was expected and what
+        was found.
     """
     path = Path(path)
     if not path.is_file():
@@ -237,7 +280,7 @@ def read_study(path: str | Path) -> Study:
     try:
         entries = _StudyEntries.model_validate(raw)
     except ValidationError as error:
-        raise StudyError(f"{path}: {mistake_in_words(error, _StudyEntries)}") from error
+        raise StudyError(f"{path}: {validation_message(error, _StudyEntries)}") from error
     used = dict.fromkeys(trial.design for trial in entries.trials)
     names = list(entries.designs) or list(used)
     chosen = {name: entry.colour for name, entry in entries.designs.items() if entry.colour is not None}
@@ -256,7 +299,7 @@ def read_study(path: str | Path) -> Study:
 
 
 def _resolved(trial: _TrialEntry, study: _StudyEntries, root: Path) -> TrialSettings:
-    """The trial with the study's settings where it has none of its own. A trial's sync stands for itself."""
+    """The trial with the study's settings where it has none. A trial's `sync` replaces the study's as a whole."""
     own = trial.log_format.model_dump(exclude_unset=True) if trial.log_format else {}
     common_sd_deg = trial.angle_common_sd_deg
     return TrialSettings(

@@ -1,7 +1,7 @@
-"""Bringing the log's clock to the video's, with the uncertainty that is left. Never by making a loop small.
+"""Synchronisation of the log's clock with the video's, with its uncertainty. Never by making a loop small.
 
-A shift between the two looks like hysteresis: a loop is wider by twice the angle's rate times the shift. What begins
-when in one signal is found in `onset.py`.
+A shift between the two looks like hysteresis: a loop is wider by twice the angle's rate times the shift. Onsets in one
+signal are detected in `onset.py`.
 """
 
 from __future__ import annotations
@@ -15,18 +15,26 @@ import numpy as np
 from ..errors import StudyError
 from ..types import FloatArray
 from ..video import Video
-from .onset import Onset, leaving_rest, rising_edges
+from .onset import Onset, onset_from_rest, rising_edges
 from .pressure_log import PressureLog
 from .study_file import SyncSettings
 from .trial import Shift
 
-# A shift less sure than this is worth a word: it widens every interval of hysteresis.
+# A shift with a larger uncertainty gets a warning: it widens every interval of hysteresis.
 _UNSURE_FRAMES = 2.0
 
 
 @dataclass(frozen=True)
 class Synchronised:
-    """The shift, and a line for each thing that the user should know about it."""
+    """The shift, and warnings about it, a line each.
+
+    Attributes
+    ----------
+    shift : Shift
+        The shift and its uncertainty.
+    warnings : tuple of str
+        A line each.
+    """
 
     shift: Shift
     warnings: tuple[str, ...]
@@ -40,19 +48,29 @@ def synchronise(
     video: Path | None,
     where: str,
 ) -> Synchronised:
-    """How the log's clock goes to the video's: video time = log time + delay.
+    """The shift between the clocks: video time = log time + delay.
 
-    The standard uncertainty is what the method leaves (an event's in both signals, or what the user gives) with the
-    log's own (a clock that ticks coarsely), and at least half a frame: a picture's time says neither when
-    its exposure began nor when it ended.
+    The standard uncertainty combines that of the method (of the event in both signals, or given by the user) and
+    that of the log's clock (coarse resolution). It is at least half a frame, because a frame's time defines neither
+    the begin nor the end of its exposure.
 
     Parameters
     ----------
-    settings : from the study file
-    log : on its own clock
-    time_s, angle_deg : (T,) of the video, NaN where the angle is missing
-    video : the file, looked into for a lamp only
-    where : opens messages
+    settings : SyncSettings
+        Settings of the study file.
+    log : PressureLog
+        The log, on its own clock.
+    time_s, angle_deg : ndarray of float
+        (T,) times and angles of the video, NaN where the angle is missing.
+    video : Path or None
+        The video file, read only for a lamp.
+    where : str
+        Begins messages.
+
+    Returns
+    -------
+    Synchronised
+        The shift and its warnings.
 
     Raises
     ------
@@ -84,13 +102,24 @@ def led_brightness(
 
     Parameters
     ----------
-    region_px : x, y, width, height; of the picture as displayed
-    window_s : frames within it only
+    video : str or Path
+        The video file.
+    region_px : tuple of (int, int, int, int)
+        X, y, width and height in px of the frame as displayed.
+    window_s : tuple of (float, float) or None, optional
+        Only frames within this time window are read.
+
+    Returns
+    -------
+    time_s : ndarray of float
+        (T,) times of the frames, s.
+    brightness : ndarray of float
+        (T,) mean of the region, 0 to 255; NaN where a frame is undecodable.
 
     Raises
     ------
     StudyError
-        The region does not lie in the picture.
+        The region does not lie within the frame.
     VideoError
         The video cannot be read.
     """
@@ -98,7 +127,7 @@ def led_brightness(
     x, y, width, height = region_px
     if x + width > source.size_wh[0] or y + height > source.size_wh[1]:
         raise StudyError(
-            f"{video}: led_region_px: expected a region in a picture of {source.size_wh[0]} x "
+            f"{video}: led_region_px: expected a region in a frame of {source.size_wh[0]} x "
             f"{source.size_wh[1]} px, got {list(region_px)}"
         )
     times, means = [], []
@@ -167,7 +196,9 @@ def _by_event(
 def _log_events(settings: SyncSettings, log: PressureLog, where: str) -> list[Onset]:
     inside = _within(log.time_s, settings.log_window_s)
     if settings.log_event == "pressure":
-        return [leaving_rest(log.time_s[inside], log.pressure_kpa[inside], f"{where}: pressure in the log")]
+        return [
+            onset_from_rest(log.time_s[inside], log.pressure_kpa[inside], f"{where}: pressure in the log")
+        ]
     if log.sync is None:
         raise StudyError(f"{where}: log_event = 'sync' needs a sync column in the log; give sync_column")
     return rising_edges(log.time_s[inside], log.sync[inside], f"{where}: sync column in the log")
@@ -178,7 +209,7 @@ def _video_events(
 ) -> list[Onset]:
     if settings.video_event == "angle":
         inside = _within(time_s, settings.video_window_s)
-        return [leaving_rest(time_s[inside], angle_deg[inside], f"{where}: angle in the video")]
+        return [onset_from_rest(time_s[inside], angle_deg[inside], f"{where}: angle in the video")]
     if video is None or settings.led_region_px is None:
         raise StudyError(f"{where}: video_event = 'led' needs the trial's video")
     seen_s, brightness = led_brightness(video, settings.led_region_px, settings.video_window_s)

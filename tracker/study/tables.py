@@ -15,6 +15,18 @@ from ..errors import ResultsError, reason
 def write_csv_tables(tables: Mapping[str, pd.DataFrame], folder: str | Path) -> list[Path]:
     """Write each table to `folder`/<name>.csv, whole or not at all; NaN is an empty cell.
 
+    Parameters
+    ----------
+    tables : mapping of str to DataFrame
+        Tables by name.
+    folder : str or Path
+        An existing folder.
+
+    Returns
+    -------
+    list of Path
+        Paths of the files.
+
     Raises
     ------
     ResultsError
@@ -33,5 +45,5 @@ def write_csv_tables(tables: Mapping[str, pd.DataFrame], folder: str | Path) -> 
 
 
 def _as_cell(value: Any) -> Any:
-    """Several numbers in one cell are parted by spaces, so that they come apart again in any language."""
+    """Several numbers in one cell are separated by spaces, which any language can split."""
     return " ".join(map(str, value)) if isinstance(value, tuple) else value

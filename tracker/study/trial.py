@@ -1,6 +1,6 @@
-"""One trial as the numbers need it: angle and pressure on one clock, and how sure that clock is.
+"""Data of one trial for the analysis: angle and pressure on one clock, and the uncertainty of that clock.
 
-Reading files and bringing pressure to the frames is `trial_data.py`; what is computed from it is elsewhere.
+Files are read and pressure is resampled at the frames in `trial_data.py`; the analysis is elsewhere.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from ..types import FloatArray
 
 
 class Kind(StrEnum):
-    """What a trial's pressure does: holds stair after stair, or goes up and down in cycles."""
+    """Kind of a trial's pressure: a staircase (static), or cycles (dynamic)."""
 
     STATIC = "static"
     DYNAMIC = "dynamic"
@@ -24,13 +24,16 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True)
 class Shift:
-    """How the log's clock was brought to the video's: video time = log time + `delay_s`.
+    """Shift between the log's clock and the video's: video time = log time + `delay_s`.
 
     Attributes
     ----------
-    delay_s : s
-    sd_s : standard uncertainty of the delay, s
-    method : "shared clock", "given delay" or "sync event"
+    delay_s : float
+        Video time minus log time, s.
+    sd_s : float
+        Standard uncertainty of the delay, s.
+    method : str
+        "shared clock", "given delay" or "sync event".
     """
 
     delay_s: float
@@ -44,21 +47,36 @@ class TrialData:
 
     Attributes
     ----------
-    name, design : as the study file names them
-    kind : static or dynamic
-    frequency_hz, pressure_pp_kpa : nominal, from the study file; None where not given
-    time_s : (T,) the frames' times, rising
-    angle_deg, angle_sd_deg : (T,) NaN where a frame gives no angle; the sd is one frame's
-    pressure_kpa : (T,) pressure at the frames' times, NaN in the log's gaps
-    pressure_rate_kpa_s : (T,) slope of the filtered pressure at the frames' times
-    log_time_s, log_pressure_kpa : (M,) the log as recorded, its times on the video's clock
-    log_reference_kpa : (M,) the reference wave at the log's times, if there is one
-    model_pressure_kpa, model_angle_deg : (S,) the model (FEM) curve, if there is one
-    shift : how the two clocks were brought together
-    warnings : one sentence each, from reading the trial
-    provenance : JSON-ready, where the data came from
-    angle_common_sd_deg : standard uncertainty that all angles of the trial share (a label's offset, say)
-    saturated_s : times at which the pressure sensor stood at an end of its range
+    name, design : str
+        Names of the trial and of its design in the study file.
+    kind : Kind
+        Static or dynamic.
+    frequency_hz, pressure_pp_kpa : float or None
+        Nominal values of the study file; None where not given.
+    time_s : ndarray of float
+        (T,) the frames' times, rising.
+    angle_deg, angle_sd_deg : ndarray of float
+        (T,) NaN where a frame gives no angle; the sd is one frame's.
+    pressure_kpa : ndarray of float
+        (T,) pressure at the frames' times, NaN in the log's gaps.
+    pressure_rate_kpa_s : ndarray of float
+        (T,) slope of the filtered pressure at the frames' times.
+    log_time_s, log_pressure_kpa : ndarray of float
+        (M,) the log as recorded, its times on the video's clock.
+    log_reference_kpa : ndarray of float or None
+        (M,) the reference wave at the log's times, if there is one.
+    model_pressure_kpa, model_angle_deg : ndarray of float or None
+        (S,) the model (FEM) curve, if there is one.
+    shift : Shift
+        Shift between the two clocks.
+    warnings : tuple of str
+        Warnings from reading the trial, one sentence each.
+    provenance : mapping of str to Any
+        JSON-ready, where the data came from.
+    angle_common_sd_deg : float
+        Standard uncertainty common to all angles of the trial (a bias of the labels, for example).
+    saturated_s : ndarray of float
+        Times at which the pressure sensor was saturated, s.
     """
 
     name: str
@@ -96,14 +114,14 @@ class TrialData:
 
     @property
     def frame_s(self) -> float:
-        """Usual time from frame to frame, s; NaN with fewer than two frames."""
+        """Median time from frame to frame, s; NaN with fewer than two frames."""
         return float(np.median(np.diff(self.time_s))) if self.time_s.size > 1 else float("nan")
 
     @property
     def shift_sd_s(self) -> float:
-        """Uncertainty of the shift that the numbers carry: `shift.sd_s`, at least half a frame.
+        """Standard uncertainty of the shift used by the analysis, s: `shift.sd_s`, with a lower limit.
 
-        A picture says when it was taken to half a frame either way and no better, whatever the clocks; as a
-        standard uncertainty that is half a frame / sqrt(3) (a rectangular distribution, GUM 4.3.7).
+        The time of a frame's exposure is known to within half a frame either way; as a standard uncertainty that is
+        half a frame / sqrt(3) (a rectangular distribution, GUM 4.3.7).
         """
         return max(self.shift.sd_s, 0.5 * self.frame_s / 3**0.5)

@@ -1,7 +1,6 @@
-"""A trial's files to one trial on one clock: angles, the log, the shift between them, pressure at the frames.
+"""Reads a trial's files and brings them to one clock: angles, the log, their shift, pressure at the frames.
 
-What the files hold is read by `angle_input.py`, `pressure_log.py` and `model_curve.py`; what is computed from a trial
-is elsewhere.
+Single files are read by `angle_input.py`, `pressure_log.py` and `model_curve.py`; the analysis is elsewhere.
 """
 
 from __future__ import annotations
@@ -25,14 +24,24 @@ from .synchronisation import synchronise
 from .trial import TrialData
 from .units import KPA_IN
 
-# Peak-to-peak pressure may differ from the nominal by this share without a word.
+# Peak-to-peak pressure may differ from the nominal by this fraction without a warning.
 _NOMINAL_TOLERANCE = 0.15
-# Within this factor of the nominal the unit is not in doubt.
+# Within this factor of the nominal pressure the unit is taken as right.
 _NOMINAL_FACTOR = 1.6
 
 
 def load_trials(study: Study) -> Iterator[TrialData]:
     """Read the trials of a study one after the other, in the order of the file.
+
+    Parameters
+    ----------
+    study : Study
+        The study.
+
+    Returns
+    -------
+    iterator of TrialData
+        The trials.
 
     Raises
     ------
@@ -44,13 +53,25 @@ def load_trials(study: Study) -> Iterator[TrialData]:
 
 
 def load_trial(study: Study, settings: TrialSettings) -> TrialData:
-    """Read one trial and bring it on the video's clock.
+    """Read one trial and bring it to the video's clock.
+
+    Parameters
+    ----------
+    study : Study
+        The study.
+    settings : TrialSettings
+        One of its trials.
+
+    Returns
+    -------
+    TrialData
+        The trial on the video's clock.
 
     Raises
     ------
     StudyError, PressureLogError, ResultsError, VideoError
-        A file is missing or cannot be used, the clocks cannot be brought together, log and video have no moment in
-        common, or the pressure is plainly in another unit.
+        A file is missing or cannot be used, the clocks cannot be synchronised, log and video do not overlap in time,
+        or the pressure is in another unit.
     """
     where = f"trial '{settings.name}'"
     table = settings.angles or _table_of(study, settings, where)
@@ -59,7 +80,7 @@ def load_trial(study: Study, settings: TrialSettings) -> TrialData:
     reference_kpa, reference_provenance = _reference(settings, log)
     pressure_pp = float(np.subtract(*np.nanpercentile(log.pressure_kpa, [99.5, 0.5])))
     warnings = [f"log: {warning}" for warning in log.warnings]
-    warnings += _against_nominal(pressure_pp, settings, log, where)
+    warnings += _check_nominal(pressure_pp, settings, log, where)
     synchronised = synchronise(settings.sync, log, angles.time_s, angles.angle_deg, settings.video, where)
     shift = synchronised.shift
     log_time_s = log.time_s + shift.delay_s
@@ -126,35 +147,35 @@ def _reference(settings: TrialSettings, log: PressureLog) -> tuple[FloatArray | 
     return at_log, dict(wave.provenance)
 
 
-def _against_nominal(pp_kpa: float, settings: TrialSettings, log: PressureLog, where: str) -> list[str]:
-    """A word if the pressure differs from the nominal one.
+def _check_nominal(pp_kpa: float, settings: TrialSettings, log: PressureLog, where: str) -> list[str]:
+    """A warning if the pressure differs from the nominal one.
 
     Raises
     ------
     StudyError
-        It is off by what another unit would explain.
+        The difference is explained by another unit.
     """
     nominal = settings.pressure_pp_kpa
     if nominal is None or pp_kpa <= 0 or abs(pp_kpa / nominal - 1) <= _NOMINAL_TOLERANCE:
         return []
-    said = f"peak-to-peak pressure is {pp_kpa:.4g} kPa, {nominal:g} kPa were expected"
+    difference = f"peak-to-peak pressure is {pp_kpa:.4g} kPa, {nominal:g} kPa were expected"
     unit = log.provenance["pressure_unit"]
     if not 1 / _NOMINAL_FACTOR < pp_kpa / nominal < _NOMINAL_FACTOR and unit in KPA_IN:
         for other, factor in KPA_IN.items():
             if abs(pp_kpa * factor / KPA_IN[unit] / nominal - 1) <= _NOMINAL_TOLERANCE:
                 raise StudyError(
-                    f"{where}: {said}: the log was read in {unit} and looks as if it were in {other}"
+                    f"{where}: {difference}: the log was read in {unit} and looks as if it were in {other}"
                 )
-    return [f"log: {said}"]
+    return [f"log: {difference}"]
 
 
 def _coverage(time_s: FloatArray, pressure_kpa: FloatArray, log_time_s: FloatArray, where: str) -> list[str]:
-    """Words about frames without pressure.
+    """Warnings about frames without pressure.
 
     Raises
     ------
     StudyError
-        All of them are.
+        No frame has a pressure.
     """
     lost = np.isnan(pressure_kpa)
     log_span = f"{log_time_s[0]:.2f} to {log_time_s[-1]:.2f} s"

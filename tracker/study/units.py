@@ -1,4 +1,4 @@
-"""Units of pressure and time: what a header may call them, and what they are in kPa and s. No file is read here."""
+"""Units of pressure and time: their spellings in headers, and their factors to kPa and s. No file is read here."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import re
 
 from ..errors import PressureLogError
 
-# Exact by definition, but for psi (1 lbf / in2, six digits more than any sensor has).
+# Exact by definition, except psi (1 lbf / in2, six digits more than any sensor has).
 KPA_IN = {
     "kPa": 1.0,
     "Pa": 0.001,
@@ -47,8 +47,20 @@ _WORDS = re.compile(r"[^\W_]+")
 
 
 def known_unit(text: str) -> str | None:
-    """The unit that a text means, in this module's spelling; None if it is none. "mPa" is not taken for "MPa".
+    """The unit named by a text, in this module's spelling; None if there is none. "mPa" is not read as "MPa".
 
+    Parameters
+    ----------
+    text : str
+        A unit as written.
+
+    Returns
+    -------
+    str or None
+        A key of `KPA_IN`, `VOLT_IN` or `SECONDS_IN`.
+
+    Examples
+    --------
     >>> known_unit("KPA"), known_unit("seconds"), known_unit("mPa"), known_unit("apples")
     ('kPa', 's', None, None)
     """
@@ -61,12 +73,22 @@ def known_unit(text: str) -> str | None:
 def split_unit(header: str) -> tuple[str, str | None]:
     """Name and unit of a column's header: "P [kPa]", "Pressure (psi)", "pressure_psi", "time / s", "kPa".
 
+    Without brackets, only a time has a unit of time: a "P_d" is no pressure in days.
+
+    Parameters
+    ----------
+    header : str
+        The header as written.
+
     Returns
     -------
-    The name without its unit, and the unit as `known_unit` spells it; what stands in brackets and is no unit
-    that is known is given as it came. Without brackets, only a time has a unit of time: a "P_d" is no pressure in
-    days.
+    name : str
+        Name of the column, without its unit.
+    unit : str or None
+        As `known_unit` spells it; text in brackets that is no known unit is returned unchanged.
 
+    Examples
+    --------
     >>> [split_unit(h) for h in ("P [kPa]", "pressure_psi", "time / s", "P (apples)", "P_d", "kPa")]
     [('P', 'kPa'), ('pressure', 'psi'), ('time', 's'), ('P', 'apples'), ('P_d', None), ('kPa', 'kPa')]
     """
@@ -86,22 +108,48 @@ def split_unit(header: str) -> tuple[str, str | None]:
 
 
 def words_of(name: str) -> set[str]:
-    """Words of a name, in small letters, parted at signs, digits' ends and capitals.
+    """Words of a name in lower case, split at punctuation and before capitals.
 
+    Parameters
+    ----------
+    name : str
+        A name.
+
+    Returns
+    -------
+    set of str
+        The words.
+
+    Examples
+    --------
     >>> sorted(words_of("PressureRef_2"))
     ['2', 'pressure', 'ref']
     """
-    parted = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
-    return {word.lower() for word in _WORDS.findall(parted)}
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
+    return {word.lower() for word in _WORDS.findall(spaced)}
 
 
 def factor_to_kpa(unit: str, gain_kpa_per_v: float | None, where: str) -> float:
     """kPa in one of a column's units; for a voltage, by the sensor's gain.
 
+    Parameters
+    ----------
+    unit : str
+        Unit of the column, as `known_unit` spells it.
+    gain_kpa_per_v : float or None
+        Gain of the sensor, kPa per V.
+    where : str
+        Begins error messages.
+
+    Returns
+    -------
+    float
+        kPa per unit.
+
     Raises
     ------
     PressureLogError
-        Not a pressure, or a voltage without a gain, or a gain without a voltage. `where` opens the message.
+        Not a pressure, or a voltage without a gain, or a gain without a voltage. `where` begins the message.
     """
     if unit in KPA_IN:
         if gain_kpa_per_v is not None:

@@ -17,7 +17,7 @@ import pytest
 from bendtrack.tracker.angle import AngleDefinition
 from bendtrack.tracker.errors import VideoError
 from bendtrack.tracker.live.cameras import Camera, CameraMode, cameras, find_camera, opening
-from bendtrack.tracker.live.newest_first import measure_live
+from bendtrack.tracker.live.low_latency import measure_live
 from bendtrack.tracker.live.sources import PlayedFile, Stream, open_source
 from bendtrack.tracker.video import Video
 
@@ -158,7 +158,7 @@ def test_damage_means_in_a_stream_what_it_means_in_a_file(film, tmp_path, codec,
 
 
 def test_a_device_of_ffmpeg_delivers_as_it_likes(film):
-    """FFmpeg's own test picture stands for a camera: the same kind of input, of which every machine has one."""
+    """FFmpeg's own test source replaces a camera: the same kind of input, available on every machine."""
     source = Stream("testsrc=size=160x120:rate=100,realtime", "camera test", "lavfi", {})
     assert (source.size_wh, source.rate) == ((160, 120), 100)
     begin, stop = threading.Event(), threading.Event()

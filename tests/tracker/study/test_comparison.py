@@ -1,4 +1,4 @@
-"""Designs beside each other: interpolation, refusals, improvements, ranking and pairs, worked out by hand."""
+"""Designs compared: interpolation, refusals, improvements, ranking and pairs, worked out by hand."""
 
 import math
 

@@ -46,7 +46,7 @@ def test_period_amplitude_and_phase_of_any_wave(wave, turn, noise_kpa):
     assert train.period_s == pytest.approx(PERIOD_S, abs=0.03)
     assert train.amplitude_kpa == pytest.approx(PEAK_KPA, abs=0.5 + 2 * noise_kpa)  # 0.02 s of a flank
     assert train.phase_s == pytest.approx(0.0, abs=0.03)
-    inner = slice(1, -1)  # a first and a last one have no neighbour to tell their rest from
+    inner = slice(1, -1)  # a first and a last one have no neighbour that defines their rest
     np.testing.assert_allclose(train.start_s[inner], np.arange(1, 5) * PERIOD_S, atol=0.06)
     np.testing.assert_allclose(train.turn_s, (np.arange(6) + turn) * PERIOD_S, atol=0.06)
     assert train.irregular == ("",) * 6

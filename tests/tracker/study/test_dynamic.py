@@ -154,7 +154,7 @@ def test_a_wrong_shift_moves_the_ratio_as_was_said_and_no_angle(delay_s):
     # A delay that is too long gives a frame the pressure of an earlier time.
     said = -right.ratio_per_frame_shift * delay_s * FPS
     assert wrong.hysteresis_ratio.value - right.hysteresis_ratio.value == pytest.approx(said, abs=0.0015)
-    # The loop of a triangle gains 4 frequency x shift x (largest - smallest) / largest, less what a frame of shift
+    # The loop of a triangle gains 4 frequency x shift x (largest - smallest) / largest, minus what a frame of shift
     # takes off its two tips.
     assert right.ratio_per_frame_shift == pytest.approx(4 / PERIOD_S / FPS * 114 / 118, rel=0.04)
     assert wrong.dynamic_response_deg.value == pytest.approx(118, abs=0.2)

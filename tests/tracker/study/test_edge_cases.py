@@ -1,7 +1,7 @@
 """What goes wrong in a lab: each case ends in a clear message or a named warning, and never in a wrong number.
 
 A trial with exact truth is written as a user's files, one thing is spoilt, and the whole way is gone: study file,
-log and angle table read, analysed. A number that comes out is right (to noise) or NaN, with a warning beside it.
+log and angle table read, analysed. A number that comes out is right (to noise) or NaN, with a warning.
 """
 
 import re
@@ -192,7 +192,7 @@ def test_angles_in_reverse_show_a_loop_that_runs_the_wrong_way(tmp_path):
 
 
 @pytest.mark.parametrize("at", [0.25, 0.5, 0.75, 1.0])
-def test_a_stretch_without_angles_costs_its_cycle_only(tmp_path, at):
+def test_a_gap_without_angles_costs_its_cycle_only(tmp_path, at):
     middle_s = BEGIN_S + (2 + at) * PERIOD_S
     angle = np.where(np.abs(RECORDING.frame_time_s - middle_s) < 0.5, np.nan, RECORDING.angle_deg)
     row, warnings, results = outcome(tmp_path, replace(RECORDING, angle_deg=angle))
@@ -204,7 +204,7 @@ def test_a_stretch_without_angles_costs_its_cycle_only(tmp_path, at):
     assert np.isnan(third.largest_angle_deg)
 
 
-def test_a_stretch_without_pressure_costs_its_cycle_only(tmp_path):
+def test_a_gap_without_pressure_costs_its_cycle_only(tmp_path):
     lost = np.abs(RECORDING.log_time_s - BEGIN_S - 2.4 * PERIOD_S) < 0.4
     log = {**columns(RECORDING), "pressure_kpa": np.where(lost, np.nan, RECORDING.log_kpa)}
     row, warnings, _ = outcome(tmp_path, log=log)

@@ -23,15 +23,15 @@ from bendtrack.tracker.study.plots.control_tracking import control_figure
 from bendtrack.tracker.study.plots.figure_set import file_names
 from bendtrack.tracker.study.plots.leaf import leaf_figure, mean_loop
 from bendtrack.tracker.study.plots.leaf_grid import leaf_grid_figure
-from bendtrack.tracker.study.plots.looks import looks_of
-from bendtrack.tracker.study.plots.page import as_drawn, save_figure
+from bendtrack.tracker.study.plots.page import decimated, save_figure
 from bendtrack.tracker.study.plots.ratio_angle import ratio_angle_figure
 from bendtrack.tracker.study.plots.static_curves import static_figure
+from bendtrack.tracker.study.plots.styles import design_styles
 from bendtrack.tracker.study.plots.time_series import time_series_figure
-from bendtrack.tracker.study.plots.trial_sheet import trial_sheet
+from bendtrack.tracker.study.plots.trial_sheet import trial_sheet_figure
 from bendtrack.tracker.study.trial import Kind, Shift, TrialData
 
-LOOKS = looks_of((name, name, colour) for name, colour in STUDY_COLOURS.items())
+LOOKS = design_styles((name, name, colour) for name, colour in STUDY_COLOURS.items())
 RED, PURPLE = LOOKS["original"], LOOKS["mid-width smaller"]
 
 
@@ -91,10 +91,10 @@ def make_dynamic() -> pd.DataFrame:
 
 
 def test_nine_designs_are_told_apart_without_colour_and_keep_theirs():
-    assert [look.colour for look in LOOKS.values()] == list(STUDY_COLOURS.values())
-    assert len({look.marker for look in LOOKS.values()}) == 9
-    assert len({(look.marker, str(look.line)) for look in LOOKS.values()}) == 9
-    assert len({str(look.line) for look in list(LOOKS.values())[:8]}) == 8
+    assert [style.colour for style in LOOKS.values()] == list(STUDY_COLOURS.values())
+    assert len({style.marker for style in LOOKS.values()}) == 9
+    assert len({(style.marker, str(style.line)) for style in LOOKS.values()}) == 9
+    assert len({str(style.line) for style in list(LOOKS.values())[:8]}) == 8
 
 
 def test_leaf_shows_its_cycles_the_rectangle_to_the_axes_and_the_way_round():
@@ -174,14 +174,14 @@ def test_dense_line_keeps_every_extreme_and_gap():
     time_s, values = np.arange(50_003) / 400, rng.normal(size=50_003)
     values[20_000:20_400] = np.nan
     values[33_333] = 12.5
-    drawn_s, drawn = as_drawn(time_s, values, 1000)
+    drawn_s, drawn = decimated(time_s, values, 1000)
     assert len(drawn) <= 2 * 1021
     assert (np.diff(drawn_s) >= 0).all()
     assert np.isin(drawn_s[drawn == 12.5], time_s[33_333]).all()
     assert 12.5 in drawn
     assert np.isnan(drawn[(drawn_s > time_s[20_100]) & (drawn_s < time_s[20_300])]).all()
     assert np.nanmin(drawn) == np.nanmin(values)
-    few = as_drawn(time_s[:100], values[:100], 1000)
+    few = decimated(time_s[:100], values[:100], 1000)
     assert few[1] is not None
     np.testing.assert_array_equal(few[1], values[:100])
 
@@ -295,7 +295,7 @@ def test_control_shows_the_error_and_its_rmse():
 
 
 def test_files_are_what_a_publisher_takes(tmp_path):
-    figure = trial_sheet(
+    figure = trial_sheet_figure(
         make_trial("größe $5 名"), RED, [ellipse()], largest_pressure_kpa=50, largest_angle_deg=100
     )
     save_figure(figure, tmp_path / "one")
@@ -321,11 +321,13 @@ def test_files_are_what_a_publisher_takes(tmp_path):
 def test_a_sheet_drawn_on_again_is_as_new(tmp_path):
     gap = make_trial("the first", angle_deg=np.where(np.arange(300) % 50 < 9, np.nan, 80.0))
     sides = {"largest_pressure_kpa": 50.0, "largest_angle_deg": 100.0}
-    used = trial_sheet(gap, RED, [ellipse() - 9] * 4, apart=[ellipse()], note="ratio", **sides)
+    used = trial_sheet_figure(gap, RED, [ellipse() - 9] * 4, apart=[ellipse()], note="ratio", **sides)
     save_figure(used, tmp_path / "first")
-    again = trial_sheet(make_trial("the second"), PURPLE, [ellipse(60)], paper=used, **sides)
+    again = trial_sheet_figure(make_trial("the second"), PURPLE, [ellipse(60)], sheet=used, **sides)
     save_figure(again, tmp_path / "again")
-    save_figure(trial_sheet(make_trial("the second"), PURPLE, [ellipse(60)], **sides), tmp_path / "new")
+    save_figure(
+        trial_sheet_figure(make_trial("the second"), PURPLE, [ellipse(60)], **sides), tmp_path / "new"
+    )
     for suffix in (".pdf", ".png"):
         assert (tmp_path / f"again{suffix}").read_bytes() == (tmp_path / f"new{suffix}").read_bytes()
 

@@ -72,7 +72,7 @@ def test_units_of_time(tmp_path: Path, unit: str, per_s: float) -> None:
 @pytest.mark.parametrize("decimal", [".", ","])
 def test_delimiters_and_decimal_signs(tmp_path: Path, delimiter: str, decimal: str) -> None:
     if delimiter == decimal:
-        pytest.skip("nobody can tell them apart")
+        pytest.skip("cannot be distinguished")
     text = write(tmp_path / "a", TIME_S, KPA, header="time_s,pressure_kpa").read_text()
     path = tmp_path / "a.csv"
     path.write_text(text.replace(",", "@").replace(".", decimal).replace("@", delimiter))
@@ -183,7 +183,7 @@ def test_reference_and_sync_are_found_and_converted(tmp_path: Path) -> None:
     np.testing.assert_array_equal(log.sync, trigger)
 
 
-def test_a_reference_in_kpa_beside_a_voltage(tmp_path: Path) -> None:
+def test_a_reference_in_kpa_next_to_a_voltage(tmp_path: Path) -> None:
     columns = (TIME_S, KPA / 25, WAVE_KPA)
     path = write(tmp_path / "a.csv", *columns, header="t_s,P (V),setpoint (kPa)", pattern="%.7f")
     log = read_pressure_log(path, LogFormat(gain_kpa_per_v=25))
@@ -409,7 +409,7 @@ def read(folder: Path, time_s: np.ndarray, kpa: np.ndarray) -> PressureLog:
     return read_pressure_log(write(folder / "a.csv", time_s, kpa, header="time_s,pressure_kpa"))
 
 
-def told(log: PressureLog, *words: str) -> None:
+def assert_warnings(log: PressureLog, *words: str) -> None:
     """The log's warnings are these, one each, and no others."""
     assert len(log.warnings) == len(words), log.warnings
     for word in words:
@@ -417,20 +417,20 @@ def told(log: PressureLog, *words: str) -> None:
 
 
 def test_a_sound_log_is_told_nothing(tmp_path: Path) -> None:
-    told(read(tmp_path, TIME_S, KPA))
+    assert_warnings(read(tmp_path, TIME_S, KPA))
 
 
 def test_a_gap_stays_a_gap(tmp_path: Path) -> None:
     kept = (TIME_S < 2.3) | (TIME_S > 2.7)
     log = read(tmp_path, TIME_S[kept], KPA[kept])
-    told(log, "gap: no sample for 0.40")
+    assert_warnings(log, "gap: no sample for 0.40")
     np.testing.assert_allclose(log.time_s, TIME_S[kept], atol=1e-6)
     np.testing.assert_allclose(log.pressure_kpa, KPA[kept])
 
 
 def test_a_gap_over_a_peak_is_no_clock_jump(tmp_path: Path) -> None:
     kept = (TIME_S < 0.8) | (TIME_S > 1.2)  # the same pressure on both sides, the slope turned
-    told(read(tmp_path, TIME_S[kept], KPA[kept]), "gap: no sample for 0.40")
+    assert_warnings(read(tmp_path, TIME_S[kept], KPA[kept]), "gap: no sample for 0.40")
 
 
 def test_empty_cells_stay_missing(tmp_path: Path) -> None:
@@ -441,7 +441,7 @@ def test_empty_cells_stay_missing(tmp_path: Path) -> None:
     log = read_pressure_log(path)
     assert np.flatnonzero(np.isnan(log.pressure_kpa)).tolist() == [100, 200]
     assert 0.75 not in log.time_s
-    told(
+    assert_warnings(
         log,
         "column 'pressure': 1 cells are no numbers, the first 'ERR'",
         "1 of 2400 lines have too many fields",
@@ -453,7 +453,7 @@ def test_empty_cells_stay_missing(tmp_path: Path) -> None:
 def test_a_log_in_reverse_is_turned(tmp_path: Path) -> None:
     log = read(tmp_path, TIME_S[::-1], KPA[::-1])
     assert is_the_log(log)
-    told(log, "runs backward in time")
+    assert_warnings(log, "runs backward in time")
 
 
 def test_swapped_rows_are_sorted(tmp_path: Path) -> None:
@@ -461,71 +461,75 @@ def test_swapped_rows_are_sorted(tmp_path: Path) -> None:
     order[[50, 51, 900, 901]] = order[[51, 50, 901, 900]]
     log = read(tmp_path, TIME_S[order], KPA[order])
     assert is_the_log(log)
-    told(log, "4 rows stand out of the order of time")
+    assert_warnings(log, "4 rows stand out of the order of time")
 
 
 def test_repeated_rows_are_left_out(tmp_path: Path) -> None:
     rows = np.sort(np.concatenate([np.arange(TIME_S.size), [10, 700, 701]]))
     log = read(tmp_path, TIME_S[rows], KPA[rows])
     assert is_the_log(log)
-    told(log, "3 samples repeat the row before")
+    assert_warnings(log, "3 samples repeat the row before")
 
 
-def test_a_clock_set_back_ends_the_stretch(tmp_path: Path) -> None:
+def test_a_clock_set_back_ends_the_segment(tmp_path: Path) -> None:
     log = read(tmp_path, np.where(TIME_S > 4, TIME_S - 0.5, TIME_S), KPA)
-    told(log, "clock jump: the log's time goes back by 0.498 s after 4.000 s")
+    assert_warnings(log, "clock jump: the log's time goes back by 0.498 s after 4.000 s")
     assert log.time_s[-1] == pytest.approx(4.0)
     np.testing.assert_allclose(log.pressure_kpa, KPA[TIME_S <= 4])
 
 
 def test_a_clock_set_forward_is_no_gap(tmp_path: Path) -> None:
     log = read(tmp_path, np.where(TIME_S > 4.5, TIME_S + 0.3, TIME_S), KPA)  # in the middle of a slope
-    told(log, "clock jump: the log's time leaps ahead by 0.303 s after 4.500 s")
+    assert_warnings(log, "clock jump: the log's time leaps ahead by 0.303 s after 4.500 s")
     assert log.time_s[-1] == pytest.approx(4.5)
 
 
 def test_two_runs_in_one_file(tmp_path: Path) -> None:
     log = read(tmp_path, np.concatenate([TIME_S[:1000], TIME_S]), np.concatenate([KPA[:1000], KPA]))
     assert is_the_log(log)
-    told(log, "clock jump: the log's time goes back by 2.498 s")
+    assert_warnings(log, "clock jump: the log's time goes back by 2.498 s")
 
 
 def test_a_coarse_clock_makes_the_shift_unsure(tmp_path: Path) -> None:
     log = read(tmp_path, np.floor(TIME_S / 0.016) * 0.016, KPA)
-    told(log, "clock ticks every 0.016 s")
+    assert_warnings(log, "clock ticks every 0.016 s")
     assert log.time_sd_s == pytest.approx(0.016 / 12**0.5)
     assert np.all(np.diff(log.time_s) > 0.015)
 
 
 def test_saturation_above_and_below(tmp_path: Path) -> None:
     log = read(tmp_path, TIME_S, np.clip(KPA, 2.0, 35.0))
-    told(log, "saturation: the upper end, 35 kPa", "saturation: the lower end, 2 kPa")
+    assert_warnings(log, "saturation: the upper end, 35 kPa", "saturation: the lower end, 2 kPa")
     assert log.pressure_kpa.max() == 35.0
 
 
 def test_a_staircase_without_noise_is_not_saturated(tmp_path: Path) -> None:
     steps_kpa = 5 * np.minimum(np.floor(TIME_S), 5 - np.abs(np.floor(TIME_S) - 5))
-    told(read(tmp_path, TIME_S, steps_kpa))
+    assert_warnings(read(tmp_path, TIME_S, steps_kpa))
 
 
 def test_constant_pressure(tmp_path: Path) -> None:
-    told(read(tmp_path, TIME_S, 20 + NOISE), "constant pressure: it stays between 19.8")
-    told(read(tmp_path, TIME_S, np.full_like(KPA, 20.0)), "constant pressure")
+    assert_warnings(read(tmp_path, TIME_S, 20 + NOISE), "constant pressure: it stays between 19.8")
+    assert_warnings(read(tmp_path, TIME_S, np.full_like(KPA, 20.0)), "constant pressure")
 
 
 def test_negative_absolute_and_implausible_pressure(tmp_path: Path) -> None:
-    told(read(tmp_path, TIME_S, KPA - 10), "negative pressure: it goes down to -")
-    told(read(tmp_path, TIME_S, -KPA), "negative pressure")
-    told(read(tmp_path, TIME_S, KPA + 101.3), "absolute pressure")
-    told(read(tmp_path, TIME_S, KPA * 1000), "implausible pressure")
-    told(read(tmp_path, TIME_S, KPA - 0.4))  # a sensor's offset is none of these
+    assert_warnings(read(tmp_path, TIME_S, KPA - 10), "negative pressure: it goes down to -")
+    assert_warnings(read(tmp_path, TIME_S, -KPA), "negative pressure")
+    assert_warnings(read(tmp_path, TIME_S, KPA + 101.3), "absolute pressure")
+    assert_warnings(read(tmp_path, TIME_S, KPA * 1000), "implausible pressure")
+    assert_warnings(read(tmp_path, TIME_S, KPA - 0.4))  # a sensor's offset is none of these
 
 
 def test_a_sensor_slower_than_the_log(tmp_path: Path) -> None:
     log = read(tmp_path, TIME_S, np.repeat(KPA[::8], 8))
-    told(log, "held values: the pressure changes at every 8th sample only, every 20 ms; it is 8.75 ms late")
+    assert_warnings(
+        log, "held values: the pressure changes at every 8th sample only, every 20 ms; it is 8.75 ms late"
+    )
 
 
 def test_a_rate_that_the_times_contradict(tmp_path: Path) -> None:
     path = write(tmp_path / "a.csv", TIME_S, KPA, header="time_s,pressure_kpa")
-    told(read_pressure_log(path, LogFormat(rate_hz=100)), "rate_hz = 100 was given, the log's times say 400")
+    assert_warnings(
+        read_pressure_log(path, LogFormat(rate_hz=100)), "rate_hz = 100 was given, the log's times say 400"
+    )

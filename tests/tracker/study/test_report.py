@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
+from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -66,6 +67,7 @@ def study_of(folder: Path, trials: list[TrialData], title: str = "A study") -> S
     return read_study(path)
 
 
+@cache
 def make_trials(suffix: str = "") -> list[TrialData]:
     """Two designs at two pressures and one frequency, one staircase, one trial whose pump stood still."""
     trials = []
@@ -166,10 +168,10 @@ def test_contents_lead_somewhere_and_ids_are_unique(written):
 def test_every_picture_and_figure_file_is_one(written):
     folder, _, trials, _ = written
     page = Page((folder / "out" / "report.html").read_text(encoding="utf-8"))
-    pictures = [base64.b64decode(source.partition(",")[2], validate=True) for source in page.values("src")]
-    assert len(pictures) == 7 + len(trials)
-    for picture in pictures:
-        assert cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR).std() > 5
+    images = [base64.b64decode(source.partition(",")[2], validate=True) for source in page.values("src")]
+    assert len(images) == 7 + len(trials)
+    for image in images:
+        assert cv2.imdecode(np.frombuffer(image, np.uint8), cv2.IMREAD_COLOR).std() > 5
     assert all(len(alt) > 20 for alt in page.values("alt"))
     figures = folder / "out" / "figures"
     families = (

@@ -1,4 +1,4 @@
-"""Staircases: stairs found from the pressure, the angle at their steady end, and the model curve beside it."""
+"""Staircases: stairs found from the pressure, the angle at their steady end, and the model curve."""
 
 import dataclasses
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from bendtrack.tracker.errors import StudyError
-from bendtrack.tracker.study.onset import leaving_rest, rising_edges
+from bendtrack.tracker.study.onset import onset_from_rest, rising_edges
 from bendtrack.tracker.study.pressure_log import PressureLog
 from bendtrack.tracker.study.study_file import SyncSettings
 from bendtrack.tracker.study.synchronisation import Synchronised, led_brightness, synchronise
@@ -34,7 +34,7 @@ def bring(
 
 
 def film(path: Path, on: list[tuple[float, float]], at_xy: tuple[int, int] = (50, 20)) -> Path:
-    """A video with a noisy ground and a lamp of 8 x 8 px that is on in the given stretches of time."""
+    """A video with a noisy ground and a lamp of 8 x 8 px that is on in the given intervals of time."""
     x, y = at_xy
     with VideoWriter(path, (96, 72), 30.0) as writer:
         for time_s in FRAMES_S:
@@ -111,7 +111,7 @@ def test_a_lamp_that_is_not_there(tmp_path: Path) -> None:
     video = film(tmp_path / "a.mp4", [])
     with pytest.raises(StudyError, match=r"lamp in a\.mp4: expected a step between two levels, found none"):
         bring(log, video=video, **LAMP)
-    with pytest.raises(StudyError, match=r"in a picture of 96 x 72 px, got \[90, 20, 8, 8\]"):
+    with pytest.raises(StudyError, match=r"in a frame of 96 x 72 px, got \[90, 20, 8, 8\]"):
         bring(log, video=video, method="sync event", led_region_px=(90, 20, 8, 8))
     with pytest.raises(StudyError, match="needs the trial's video"):
         bring(log, **LAMP)
@@ -164,7 +164,7 @@ def test_an_onset_is_as_sure_as_it_says(shape: str) -> None:
     for _ in range(12):
         true_s = rng.uniform(1.5, 3)
         value = 7 + rise(np.maximum(time_s - true_s, 0)) + noise * rng.standard_normal(time_s.size)
-        onset = leaving_rest(time_s, value, "here")
+        onset = onset_from_rest(time_s, value, "here")
         errors.append((onset.time_s - true_s) / onset.sd_s)
     assert np.sqrt(np.mean(np.square(errors))) < 1.6
 
@@ -180,7 +180,7 @@ def test_an_onset_is_as_sure_as_it_says(shape: str) -> None:
 )
 def test_no_onset(value: np.ndarray, message: str) -> None:
     with pytest.raises(StudyError, match=message):
-        leaving_rest(FRAMES_S, value, "here")
+        onset_from_rest(FRAMES_S, value, "here")
 
 
 def test_edges_of_a_noisy_trigger() -> None:

@@ -275,7 +275,7 @@ def test_a_video_finds_its_table(files: Path) -> None:
     with pytest.raises(StudyError, match="expected angles, or results"):
         trial_of(files, entry)
 
-    # Two videos of one name: the content tells.
+    # Two videos of one name: the content decides.
     (files / "videos").mkdir()
     (files / "videos" / "a.mp4").write_bytes(b"second")
     second = "16367aacb67a4a017c8da8ab95682ccb390863780f7114dda0a0e0c55644c7c4"  # sha256sum of that

@@ -9,20 +9,28 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from .looks import Look
-from .page import INK, PAGE_MM, house_style, new_figure, quiet_grid
+from .page import PAGE_MM, TEXT_GREY, house_style, light_grid, new_figure
+from .styles import DesignStyle
 
-# Column of the table, words on the axis.
+# Column of the table, label of the axis.
 _METRICS = (("dynamic_response_deg", "dynamic response (°)"), ("hysteresis_ratio", "hysteresis ratio"))
-_GROUP = 0.86  # of a pressure's place on the axis is taken by its bars
+_GROUP = 0.86  # fraction of a pressure's width on the axis that its bars take
 
 
-def bars_figure(dynamic: pd.DataFrame, looks: Mapping[str, Look]) -> Figure:
+def bars_figure(dynamic: pd.DataFrame, styles: Mapping[str, DesignStyle]) -> Figure:
     """Largest angle (above) and hysteresis ratio (below), a column for each frequency; whiskers are intervals.
 
     Parameters
     ----------
-    dynamic : one row a trial, with design, frequency_hz, pressure_pp_kpa, and each metric with its _low, _high
+    dynamic : DataFrame
+        One row per trial, with design, frequency_hz, pressure_pp_kpa, and each metric with its _low, _high.
+    styles : mapping of str to DesignStyle
+        Style of each design, by its name.
+
+    Returns
+    -------
+    Figure
+        The figure.
     """
     frequencies = sorted(dynamic["frequency_hz"].dropna().unique())
     with house_style():
@@ -32,19 +40,19 @@ def bars_figure(dynamic: pd.DataFrame, looks: Mapping[str, Look]) -> Figure:
         for column, frequency in enumerate(frequencies):
             here = dynamic[dynamic["frequency_hz"] == frequency]
             pressures = sorted(here["pressure_pp_kpa"].dropna().unique())
-            for row, (metric, words) in enumerate(_METRICS):
+            for row, (metric, label) in enumerate(_METRICS):
                 axes = grid[row, column]
-                _draw_groups(axes, here, pressures, metric, looks)
-                quiet_grid(axes)
+                _draw_groups(axes, here, pressures, metric, styles)
+                light_grid(axes)
                 if row == 0:
                     axes.set_title(f"{frequency:g} Hz", loc="center")
                 if row == len(_METRICS) - 1:
                     axes.set_xlabel("peak-to-peak pressure (kPa)")
                 if column == 0:
-                    axes.set_ylabel(words)
-        used = [look for name, look in looks.items() if name in set(dynamic["design"])]
+                    axes.set_ylabel(label)
+        used = [style for name, style in styles.items() if name in set(dynamic["design"])]
         figure.legend(
-            handles=[look.handle(line=False) for look in used],
+            handles=[style.handle(line=False) for style in used],
             loc="outside lower center",
             ncols=min(len(used), 4) or 1,
         )
@@ -53,42 +61,42 @@ def bars_figure(dynamic: pd.DataFrame, looks: Mapping[str, Look]) -> Figure:
 
 
 def _draw_groups(
-    axes: Axes, trials: pd.DataFrame, pressures: list[float], metric: str, looks: Mapping[str, Look]
+    axes: Axes, trials: pd.DataFrame, pressures: list[float], metric: str, styles: Mapping[str, DesignStyle]
 ) -> None:
     counts = trials.groupby("pressure_pp_kpa").size()
     width = _GROUP / max(counts.max(), 1)
-    # A bar's place: its group, and its rank in the group by the study's order of designs.
-    rank = trials["design"].map({name: index for index, name in enumerate(looks)})
+    # A bar's position: its group, and its rank in the group by the study's order of designs.
+    rank = trials["design"].map({name: index for index, name in enumerate(styles)})
     order = trials.assign(order=rank).sort_values("order", kind="stable")
     within = order.groupby("pressure_pp_kpa").cumcount() - (order["pressure_pp_kpa"].map(counts) - 1) / 2
     group = order["pressure_pp_kpa"].map({pressure: index for index, pressure in enumerate(pressures)})
     order = order.assign(x=group + width * within)
-    for name, look in looks.items():
+    for name, style in styles.items():
         here = order[order["design"] == name]
         x, value = here["x"].to_numpy(float), here[metric].to_numpy(float)
         if not len(x):
             continue
-        axes.bar(x, value, 0.86 * width, color=look.colour, linewidth=0)
+        axes.bar(x, value, 0.86 * width, color=style.colour, linewidth=0)
         ends = here[[f"{metric}_low", f"{metric}_high"]].to_numpy(float).T
         axes.errorbar(
             x,
             value,
             np.abs(ends - value),
             linestyle="none",
-            color=INK,
+            color=TEXT_GREY,
             elinewidth=0.7,
             capsize=1.3,
             capthick=0.7,
         )
-        # At the foot, so that designs are told apart without colour.
+        # At the foot of the bar, so that designs are distinguished without colour.
         axes.plot(
             x,
             np.full(len(x), 0.035),
             transform=axes.get_xaxis_transform(),
-            marker=look.marker,
+            marker=style.marker,
             markersize=2.8,
             color="white",
-            markeredgecolor=look.edge,
+            markeredgecolor=style.edge,
             markeredgewidth=0.5,
             linestyle="none",
         )

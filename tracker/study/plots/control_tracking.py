@@ -1,4 +1,4 @@
-"""How well the pump follows: measured pressure on its reference wave, and the error below."""
+"""Tracking of the pressure control: measured pressure on its reference wave, and the error below."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from .page import (
+    AXIS_GREY,
     PAGE_MM,
     PRESSURE_COLOUR,
-    QUIET,
-    as_drawn,
+    decimated,
     house_style,
-    limit_from_zero,
+    light_grid,
+    limits_with_zero,
     new_figure,
-    quiet_grid,
 )
 
 if TYPE_CHECKING:
     from ..trial import TrialData
 
 _COLUMNS = 700
-# Cycles of a triangle that are shown: enough to see a habit of the error.
+# Number of cycles shown: enough to see the pattern of the error.
 _CYCLES = 3
 
 
@@ -32,8 +32,15 @@ def control_figure(trials: Sequence[TrialData], rmse_kpa: Sequence[float]) -> Fi
 
     Parameters
     ----------
-    trials : with a reference; those without are a caller's mistake
-    rmse_kpa : of each, over the whole trial
+    trials : sequence of TrialData
+        Trials, which must have a reference.
+    rmse_kpa : sequence of float
+        RMSE of each trial, over its whole log.
+
+    Returns
+    -------
+    Figure
+        The figure.
     """
     with house_style():
         figure = new_figure(PAGE_MM, 70)
@@ -47,19 +54,19 @@ def control_figure(trials: Sequence[TrialData], rmse_kpa: Sequence[float]) -> Fi
             time_s = trial.log_time_s[shown] - trial.log_time_s[0]
             measured, reference = trial.log_pressure_kpa[shown], trial.log_reference_kpa[shown]
             waves.plot(
-                *as_drawn(time_s, measured, _COLUMNS), color=PRESSURE_COLOUR, linewidth=1.1, label="measured"
+                *decimated(time_s, measured, _COLUMNS), color=PRESSURE_COLOUR, linewidth=1.1, label="measured"
             )
             waves.plot(
-                *as_drawn(time_s, reference, _COLUMNS),
+                *decimated(time_s, reference, _COLUMNS),
                 color="0.05",
                 linewidth=0.6,
                 linestyle=(0, (3, 2)),
                 label="reference",
             )
             errors.plot(
-                *as_drawn(time_s, measured - reference, _COLUMNS), color=PRESSURE_COLOUR, linewidth=0.5
+                *decimated(time_s, measured - reference, _COLUMNS), color=PRESSURE_COLOUR, linewidth=0.5
             )
-            errors.axhline(0, color=QUIET, linewidth=0.5)
+            errors.axhline(0, color=AXIS_GREY, linewidth=0.5)
             errors.axhspan(-rmse, rmse, color=PRESSURE_COLOUR, alpha=0.18, linewidth=0)
             errors.set_title(f"RMSE {rmse:.2g} kPa (band)", loc="right", fontsize=6.5, pad=2)
             wave = f"{trial.frequency_hz:g} Hz" if trial.frequency_hz else "staircase"
@@ -68,10 +75,10 @@ def control_figure(trials: Sequence[TrialData], rmse_kpa: Sequence[float]) -> Fi
             errors.set_xlabel("time (s)")
             errors.set_xlim(0, float(time_s[-1]))
             for axes in (waves, errors):
-                quiet_grid(axes)
+                light_grid(axes)
         known = np.concatenate([trial.log_pressure_kpa for trial in trials])
         for axes in grid[0]:
-            axes.set_ylim(limit_from_zero(float(np.nanmin(known)), float(np.nanmax(known))))
+            axes.set_ylim(limits_with_zero(float(np.nanmin(known)), float(np.nanmax(known))))
         grid[0, 0].set_ylabel("pressure (kPa)")
         grid[1, 0].set_ylabel("error (kPa)")
         figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=2)

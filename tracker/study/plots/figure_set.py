@@ -1,4 +1,4 @@
-"""Writes all figures of a study and says what each shows. How each is drawn is its family's file."""
+"""Writes all figures of a study, with captions. Each kind of figure is drawn in its own file."""
 
 from __future__ import annotations
 
@@ -23,32 +23,36 @@ from .bars import bars_figure
 from .control_tracking import control_figure
 from .leaf import leaf_figure
 from .leaf_grid import leaf_grid_figure
-from .looks import Look
 from .page import save_figure
 from .ratio_angle import ratio_angle_figure
 from .static_curves import static_figure
+from .styles import DesignStyle
 from .time_series import time_series_figure
-from .trial_sheet import blank_sheet, trial_sheet
+from .trial_sheet import blank_sheet, trial_sheet_figure
 
 if TYPE_CHECKING:
     from ..analysis import StudyResults
     from ..trial import TrialData
 
 _LONGEST_FILE_NAME = 80
-# Waves of the control's figure: more would be too narrow.
+# Most waves in the control figure: more panels would be too narrow.
 _MOST_WAVES = 4
 
 
 @dataclass(frozen=True)
 class WrittenFigure:
-    """A figure that was written: `name`.pdf and `name`.png in the figures' folder, and the picture for the report.
+    """A figure that was written: `name`.pdf and `name`.png in the figures' folder, and an image for the report.
 
     Attributes
     ----------
-    name : of the file, without its ending, relative to the figures' folder
-    caption : what it shows
-    png : a smaller picture for a screen
-    narrow : as wide as a column, not the page
+    name : str
+        File name without suffix, relative to the figures' folder.
+    caption : str
+        Caption of the figure.
+    png : bytes
+        A smaller image for the screen.
+    narrow : bool
+        The figure is as wide as a column, not the page.
     """
 
     name: str
@@ -59,7 +63,19 @@ class WrittenFigure:
 
 @dataclass(frozen=True)
 class Leaf:
-    """What the drawing of a trial's leaf needs: cycles used and the one set apart, the rectangle, a note."""
+    """Data for a trial's leaf: the cycles used, an excluded first one, the rectangle, a note.
+
+    Attributes
+    ----------
+    loops : tuple of ndarray of float
+        (N, 2) kPa and deg of each cycle used.
+    apart : tuple of ndarray of float
+        The excluded first cycle, where there is one.
+    largest_pressure_kpa, largest_angle_deg : float
+        Sides of the rectangle, NaN for none.
+    note : str
+        Text inside the rectangle.
+    """
 
     loops: tuple[FloatArray, ...] = ()
     apart: tuple[FloatArray, ...] = ()
@@ -69,9 +85,25 @@ class Leaf:
 
 
 def write_study_figures(
-    results: StudyResults, trials: Sequence[TrialData], looks: dict[str, Look], folder: Path
+    results: StudyResults, trials: Sequence[TrialData], styles: dict[str, DesignStyle], folder: Path
 ) -> list[WrittenFigure]:
-    """The figures of the whole study; a family without data is left out.
+    """The figures of the whole study; a figure without data is omitted.
+
+    Parameters
+    ----------
+    results : StudyResults
+        Results of the study.
+    trials : sequence of TrialData
+        The trials that `results` were computed from.
+    styles : dict of str to DesignStyle
+        Style of each design, by its name.
+    folder : Path
+        Folder of the figures.
+
+    Returns
+    -------
+    list of WrittenFigure
+        The figures written.
 
     Raises
     ------
@@ -79,9 +111,9 @@ def write_study_figures(
         A file cannot be written.
     """
     figures = [
-        *_example_figures(results, trials, looks),
-        *_dynamic_figures(results, looks),
-        *_static_figures(results, trials, looks),
+        *_example_figures(results, trials, styles),
+        *_dynamic_figures(results, styles),
+        *_static_figures(results, trials, styles),
         *_control_figures(results, trials),
     ]
     return [
@@ -90,11 +122,13 @@ def write_study_figures(
     ]
 
 
-# Name, caption, whether it is as wide as a column, the figure: drawn when it is asked for, so that one is held at once.
+# Name, caption, whether it is as wide as a column, the figure: drawn on demand, so that only one is in memory.
 _Figures = Iterator[tuple[str, str, bool, Figure]]
 
 
-def _example_figures(results: StudyResults, trials: Sequence[TrialData], looks: dict[str, Look]) -> _Figures:
+def _example_figures(
+    results: StudyResults, trials: Sequence[TrialData], styles: dict[str, DesignStyle]
+) -> _Figures:
     """One trial large: the baseline's slowest at its largest pressure."""
     measured = _measured(results)
     own = measured[measured["design"] == results.baseline]
@@ -105,7 +139,7 @@ def _example_figures(results: StudyResults, trials: Sequence[TrialData], looks: 
     if example is None:
         return
     caption = f"{example.name}: bending angle and pressure over time."
-    yield "time_series", caption, False, time_series_figure(example, looks[example.design])
+    yield "time_series", caption, False, time_series_figure(example, styles[example.design])
     leaf = leaves_of(results).get(example.name, Leaf())
     caption = (
         f"{example.name}: {len(leaf.loops)} cycles and their mean. The hysteresis ratio is the area within the leaf "
@@ -115,7 +149,7 @@ def _example_figures(results: StudyResults, trials: Sequence[TrialData], looks: 
         caption += " Grey: the first cycle, which differs from the others and is left out of the numbers."
     figure = leaf_figure(
         leaf.loops,
-        looks[example.design],
+        styles[example.design],
         largest_pressure_kpa=leaf.largest_pressure_kpa,
         largest_angle_deg=leaf.largest_angle_deg,
         apart=leaf.apart,
@@ -125,43 +159,45 @@ def _example_figures(results: StudyResults, trials: Sequence[TrialData], looks: 
     yield "leaf", caption, True, figure
 
 
-def _dynamic_figures(results: StudyResults, looks: dict[str, Look]) -> _Figures:
+def _dynamic_figures(results: StudyResults, styles: dict[str, DesignStyle]) -> _Figures:
     measured = _measured(results)
     placed = measured.dropna(subset=["frequency_hz", "pressure_pp_kpa"])
     if len(placed):
         caption = (
             "Angle against pressure of all dynamic trials, by frequency (rows) and peak-to-peak pressure (columns). "
-            "A mark stands at the tip of each design's leaf."
+            "A marker shows the tip of each design's leaf."
         )
         loops = {name: leaf.loops for name, leaf in leaves_of(results).items()}
-        yield "leaves", caption, False, leaf_grid_figure(placed, loops, looks)
+        yield "leaves", caption, False, leaf_grid_figure(placed, loops, styles)
         caption = (
             f"Dynamic response (largest angle) and hysteresis ratio of every trial; whiskers are "
             f"{100 * results.confidence:g} % intervals."
         )
-        yield "bars", caption, False, bars_figure(placed, looks)
+        yield "bars", caption, False, bars_figure(placed, styles)
     if len(measured.dropna(subset=["hysteresis_ratio", "frequency_hz"])):
         caption = (
             "Hysteresis ratio against largest angle; a design's trials are joined by straight lines, whiskers are "
-            f"{100 * results.confidence:g} % intervals. The dashed line stands where designs are compared at one angle."
+            f"{100 * results.confidence:g} % intervals. The dashed line is the angle at which designs are compared."
         )
         comparisons = best_comparisons(results.constant_angle)
-        yield "ratio_against_angle", caption, False, ratio_angle_figure(measured, comparisons, looks)
+        yield "ratio_against_angle", caption, False, ratio_angle_figure(measured, comparisons, styles)
 
 
-def _static_figures(results: StudyResults, trials: Sequence[TrialData], looks: dict[str, Look]) -> _Figures:
+def _static_figures(
+    results: StudyResults, trials: Sequence[TrialData], styles: dict[str, DesignStyle]
+) -> _Figures:
     names = set(results.static_steps["trial"])
     static = [trial for trial in trials if trial.name in names]
     if static:
         caption = (
-            "Angle held at each stair (marks, in the order of time), the model's curve (dashed), and measured less "
+            "Angle held at each stair (marks, in the order of time), the model's curve (dashed), and measured minus "
             "model (below)."
         )
-        yield "static_curves", caption, True, static_figure(results.static_steps, static, looks)
+        yield "static_curves", caption, True, static_figure(results.static_steps, static, styles)
 
 
 def _control_figures(results: StudyResults, trials: Sequence[TrialData]) -> _Figures:
-    """Of each wave the trial of the largest pressure: staircases first, slow before fast."""
+    """The trial of the largest pressure of each wave: staircases first, slow before fast."""
     rmse_kpa = dict(zip(results.control["trial"], results.control["rmse_kpa"], strict=True))
     chosen: dict[tuple[bool, float], TrialData] = {}
     for trial in trials:
@@ -172,7 +208,7 @@ def _control_figures(results: StudyResults, trials: Sequence[TrialData]) -> _Fig
     shown = [chosen[wave] for wave in sorted(chosen)][:_MOST_WAVES]
     if shown:
         caption = (
-            "Measured pressure on its reference wave, and the error (measured less reference), for the trial of the "
+            "Measured pressure on its reference wave, and the error (measured minus reference), for the trial of the "
             "largest pressure of each wave: " + ", ".join(trial.name for trial in shown) + "."
         )
         figure = control_figure(shown, [float(rmse_kpa[trial.name]) for trial in shown])
@@ -185,13 +221,36 @@ def _measured(results: StudyResults) -> pd.DataFrame:
 
 
 def start_trial_sheets(
-    results: StudyResults, trials: Sequence[TrialData], looks: dict[str, Look], folder: Path, workers: int
+    results: StudyResults,
+    trials: Sequence[TrialData],
+    styles: dict[str, DesignStyle],
+    folder: Path,
+    workers: int,
 ) -> TrialSheets:
-    """Begin to write a sheet for each trial, in `workers` other processes (0: in this one, when collected)."""
+    """Start to write a sheet for each trial, in `workers` other processes (0: in this one, when collected).
+
+    Parameters
+    ----------
+    results : StudyResults
+        Results of the study.
+    trials : sequence of TrialData
+        The trials that `results` were computed from.
+    styles : dict of str to DesignStyle
+        Style of each design, by its name.
+    folder : Path
+        Folder of the figures.
+    workers : int
+        Number of additional processes.
+
+    Returns
+    -------
+    TrialSheets
+        The sheets, to be used in a `with` block.
+    """
     names = file_names(trial.name for trial in trials)
     leaves = leaves_of(results)
     jobs = [
-        (trial, looks[trial.design], leaves.get(trial.name, Leaf()), folder / names[trial.name])
+        (trial, styles[trial.design], leaves.get(trial.name, Leaf()), folder / names[trial.name])
         for trial in trials
     ]
     return TrialSheets(jobs, workers)
@@ -200,7 +259,7 @@ def start_trial_sheets(
 class TrialSheets:
     """The sheets of a study's trials, being written. `collect` waits for them; leaving the `with` block ends all."""
 
-    def __init__(self, jobs: list[tuple[TrialData, Look, Leaf, Path]], workers: int) -> None:
+    def __init__(self, jobs: list[tuple[TrialData, DesignStyle, Leaf, Path]], workers: int) -> None:
         self._jobs = jobs
         self._pool: ProcessPoolExecutor | None = None
         self._futures: list[Future[bytes]] = []
@@ -219,47 +278,85 @@ class TrialSheets:
     def collect(self) -> dict[str, WrittenFigure]:
         """Every trial's sheet, by the trial's name.
 
+        Returns
+        -------
+        dict of str to WrittenFigure
+            The sheets written.
+
         Raises
         ------
         ResultsError
             A file cannot be written.
         """
-        pictures: list[bytes] = []
-        for place in reversed(range(len(self._jobs))):
-            # What nobody has begun, from the end on, is drawn here: no process waits while there is work.
-            mine = not self._futures or self._futures[place].cancel()
-            pictures.append(write_sheet(*self._jobs[place]) if mine else self._futures[place].result())
-        pictures.reverse()
+        images: list[bytes] = []
+        for index in reversed(range(len(self._jobs))):
+            # Sheets not yet started are drawn in this process, from the last one on, so that none is idle.
+            mine = not self._futures or self._futures[index].cancel()
+            images.append(write_sheet(*self._jobs[index]) if mine else self._futures[index].result())
+        images.reverse()
         return {
             trial.name: WrittenFigure(f"{stem.parent.name}/{stem.name}", "", png)
-            for (trial, _, _, stem), png in zip(self._jobs, pictures, strict=True)
+            for (trial, _, _, stem), png in zip(self._jobs, images, strict=True)
         }
 
 
-def write_sheet(trial: TrialData, look: Look, leaf: Leaf, stem: Path) -> bytes:
-    """Write one trial's sheet (PDF, PNG) and return its picture for the report."""
-    figure = trial_sheet(
+def write_sheet(trial: TrialData, style: DesignStyle, leaf: Leaf, stem: Path) -> bytes:
+    """Write one trial's sheet (PDF, PNG) and return its image for the report.
+
+    Parameters
+    ----------
+    trial : TrialData
+        The trial.
+    style : DesignStyle
+        Style of its design.
+    leaf : Leaf
+        Its leaf.
+    stem : Path
+        Path of the files, without suffix.
+
+    Returns
+    -------
+    bytes
+        A PNG.
+
+    Raises
+    ------
+    ResultsError
+        A file cannot be written.
+    """
+    figure = trial_sheet_figure(
         trial,
-        look,
+        style,
         leaf.loops,
         largest_pressure_kpa=leaf.largest_pressure_kpa,
         largest_angle_deg=leaf.largest_angle_deg,
         apart=leaf.apart,
         note=leaf.note,
-        paper=_paper(len(leaf.loops) + len(leaf.apart) > 0),
+        sheet=_reused_sheet(len(leaf.loops) + len(leaf.apart) > 0),
     )
-    # Half the size and 64 colours: a hundred of them go into one page.
+    # Half the size and 64 colours: one page may hold a hundred of them.
     return _for_screen(save_figure(figure, stem).reduce(2), 64)
 
 
 @cache
-def _paper(with_leaf: bool) -> Figure:
-    """What this process draws its sheets on, one after the other."""
+def _reused_sheet(with_leaf: bool) -> Figure:
+    """The figure that this process reuses for its sheets."""
     return blank_sheet(with_leaf)
 
 
 def leaves_of(results: StudyResults) -> dict[str, Leaf]:
-    """The leaf of every dynamic trial that has loops, by the trial's name."""
+    """The leaf of every dynamic trial that has loops, by the trial's name.
+
+    Parameters
+    ----------
+    results : StudyResults
+        Results of the study.
+
+    Returns
+    -------
+    dict of str to Leaf
+        The leaves.
+    """
     leaves = {}
     for row in results.dynamic.to_dict("records"):
         loops = results.loops.get(row["trial"], [])
@@ -277,15 +374,27 @@ def leaves_of(results: StudyResults) -> dict[str, Leaf]:
 
 
 def file_names(names: Iterable[str]) -> dict[str, str]:
-    """A file name (without an ending) for each trial name: safe on every system, no two alike.
+    """A file name (without suffix) for each trial name: valid on every system, and unique.
 
+    Parameters
+    ----------
+    names : iterable of str
+        Names of the trials.
+
+    Returns
+    -------
+    dict of str to str
+        File name of each trial.
+
+    Examples
+    --------
     >>> file_names(["a b/40 kPa", "a b:40 kPa", "../up"])
     {'a b/40 kPa': 'a_b_40_kPa', 'a b:40 kPa': 'a_b_40_kPa-2', '../up': 'up'}
     """
     found: dict[str, str] = {}
     taken: set[str] = set()
     for name in names:
-        safe = "".join(sign if sign.isascii() and (sign.isalnum() or sign in "-_.") else "_" for sign in name)
+        safe = "".join(char if char.isascii() and (char.isalnum() or char in "-_.") else "_" for char in name)
         stem = safe.strip("._-")[:_LONGEST_FILE_NAME] or "trial"
         candidate, number = stem, 2
         while candidate.casefold() in taken:
@@ -295,10 +404,10 @@ def file_names(names: Iterable[str]) -> dict[str, str]:
     return found
 
 
-def _for_screen(picture: Image.Image, colours: int) -> bytes:
-    """The picture as a PNG with a palette: a third of the size, and no difference to the eye."""
+def _for_screen(image: Image.Image, colours: int) -> bytes:
+    """The image as a PNG with a palette: a third of the size, with no visible difference."""
     data = io.BytesIO()
-    picture.quantize(colours, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(
+    image.quantize(colours, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(
         data, format="PNG", compress_level=6
     )
     return data.getvalue()

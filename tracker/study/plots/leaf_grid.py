@@ -12,23 +12,32 @@ from matplotlib.figure import Figure
 
 from ...types import FloatArray
 from .leaf import mean_loop
-from .looks import Look
-from .page import PAGE_MM, house_style, limit_from_zero, new_figure, quiet_grid
+from .page import PAGE_MM, house_style, light_grid, limits_with_zero, new_figure
+from .styles import DesignStyle
 
 _ROW_MM = 46.0
-# Points a cycle: what a panel of a fifth of the page can show.
+# Points per cycle: the resolution of a panel of a fifth of the page.
 _POINTS = 100
 
 
 def leaf_grid_figure(
-    dynamic: pd.DataFrame, loops: Mapping[str, Sequence[FloatArray]], looks: Mapping[str, Look]
+    dynamic: pd.DataFrame, loops: Mapping[str, Sequence[FloatArray]], styles: Mapping[str, DesignStyle]
 ) -> Figure:
-    """Every dynamic trial's cycles, with the design's mark at the tip of its leaf.
+    """Every dynamic trial's cycles, with the design's marker at the tip of its leaf.
 
     Parameters
     ----------
-    dynamic : one row a trial, with trial, design, frequency_hz and pressure_pp_kpa
-    loops : (N, 2) of each cycle used, pressure in kPa and angle in degrees, by trial
+    dynamic : DataFrame
+        One row per trial, with trial, design, frequency_hz and pressure_pp_kpa.
+    loops : mapping of str to sequence of ndarray of float
+        (N, 2) of each cycle used, pressure in kPa and angle in degrees, by trial.
+    styles : mapping of str to DesignStyle
+        Style of each design, by its name.
+
+    Returns
+    -------
+    Figure
+        The figure.
     """
     shown = dynamic[[len(loops.get(name, ())) > 0 for name in dynamic["trial"]]]
     frequencies = sorted(shown["frequency_hz"].unique())
@@ -41,10 +50,10 @@ def leaf_grid_figure(
             for column, pressure in enumerate(pressures):
                 axes = grid[row, column]
                 here = shown[(shown["frequency_hz"] == frequency) & (shown["pressure_pp_kpa"] == pressure)]
-                quiet_grid(axes, "both")
+                light_grid(axes, "both")
                 if here.empty:
                     axes.text(0.5, 0.5, "no trial", transform=axes.transAxes, ha="center", color="0.6")
-                _draw_trials(axes, here, loops, looks)
+                _draw_trials(axes, here, loops, styles)
                 if row == 0:
                     axes.set_title(f"{pressure:g} kPa peak to peak", loc="center")
                 if column == 0:
@@ -53,13 +62,13 @@ def leaf_grid_figure(
                     axes.set_xlabel("pressure (kPa)")
         if len(shown):
             pressures_kpa, _ = _extremes(shown["trial"], loops)
-            grid[0, 0].set_xlim(limit_from_zero(*pressures_kpa))
+            grid[0, 0].set_xlim(limits_with_zero(*pressures_kpa))
         for row, frequency in enumerate(frequencies):
             _, angles_deg = _extremes(shown.loc[shown["frequency_hz"] == frequency, "trial"], loops)
-            grid[row, 0].set_ylim(limit_from_zero(*angles_deg))
-        used = [look for name, look in looks.items() if name in set(shown["design"])]
+            grid[row, 0].set_ylim(limits_with_zero(*angles_deg))
+        used = [style for name, style in styles.items() if name in set(shown["design"])]
         figure.legend(
-            handles=[look.handle(line=False) for look in used],
+            handles=[style.handle(line=False) for style in used],
             loc="outside lower center",
             ncols=min(len(used), 4) or 1,
         )
@@ -67,22 +76,25 @@ def leaf_grid_figure(
 
 
 def _draw_trials(
-    axes: Axes, trials: pd.DataFrame, loops: Mapping[str, Sequence[FloatArray]], looks: Mapping[str, Look]
+    axes: Axes,
+    trials: pd.DataFrame,
+    loops: Mapping[str, Sequence[FloatArray]],
+    styles: Mapping[str, DesignStyle],
 ) -> None:
-    """The leaves of one panel, in the study's order of designs, so that what lies on top is alike in all panels."""
+    """The leaves of one panel, in the study's order of designs, so that the drawing order is the same in all panels."""
     cycles: list[FloatArray] = []
     colours: list[str] = []
-    place = {name: index for index, name in enumerate(looks)}
-    for trial in sorted(trials.to_dict("records"), key=lambda trial: place[trial["design"]]):
-        look = looks[trial["design"]]
+    rank = {name: index for index, name in enumerate(styles)}
+    for trial in sorted(trials.to_dict("records"), key=lambda trial: rank[trial["design"]]):
+        style = styles[trial["design"]]
         own = [_thinned(loop) for loop in loops[trial["trial"]]]
         cycles += own
-        colours += [look.colour] * len(own)
+        colours += [style.colour] * len(own)
         axes.plot(
             *_tip(mean_loop(own)),
-            marker=look.marker,
-            color=look.colour,
-            markeredgecolor=look.edge,
+            marker=style.marker,
+            color=style.colour,
+            markeredgecolor=style.edge,
             markeredgewidth=0.6,
             markersize=4,
             zorder=5,
@@ -103,7 +115,7 @@ def _extremes(
 def _thinned(loop: FloatArray) -> FloatArray:
     step = max(len(loop) // _POINTS, 1)
     rows = np.arange(0, len(loop), step)
-    # The largest angle is kept: the tip is what is looked at.
+    # The largest angle is kept: the tip matters most.
     if np.isfinite(loop[:, 1]).any():
         rows = np.union1d(rows, np.nanargmax(loop[:, 1]))
     return loop[rows]
@@ -112,5 +124,5 @@ def _thinned(loop: FloatArray) -> FloatArray:
 def _tip(mean: FloatArray) -> tuple[float, float]:
     if not np.isfinite(mean[:, 1]).any():
         return float("nan"), float("nan")
-    place = int(np.nanargmax(mean[:, 1]))
-    return float(mean[place, 0]), float(mean[place, 1])
+    index = int(np.nanargmax(mean[:, 1]))
+    return float(mean[index, 0]), float(mean[index, 1])

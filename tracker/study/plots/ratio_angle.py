@@ -12,18 +12,29 @@ from matplotlib.figure import Figure
 
 from ...types import FloatArray
 from ..number_text import MINUS
-from .looks import Look
-from .page import INK, PAGE_MM, QUIET, house_style, new_figure, quiet_grid
+from .page import AXIS_GREY, PAGE_MM, TEXT_GREY, house_style, light_grid, new_figure
+from .styles import DesignStyle
 
 
-def ratio_angle_figure(dynamic: pd.DataFrame, comparisons: pd.DataFrame, looks: Mapping[str, Look]) -> Figure:
+def ratio_angle_figure(
+    dynamic: pd.DataFrame, comparisons: pd.DataFrame, styles: Mapping[str, DesignStyle]
+) -> Figure:
     """A panel for each frequency: the trials of a design joined in the order of their largest angle.
 
     Parameters
     ----------
-    dynamic : one row a trial, with design, frequency_hz, dynamic_response_deg, hysteresis_ratio, _low and _high
-    comparisons : at most one row a frequency, with frequency_hz, angle_deg, baseline, design, baseline_ratio,
-        design_ratio, improvement (a share)
+    dynamic : DataFrame
+        One row per trial, with design, frequency_hz, dynamic_response_deg, hysteresis_ratio, _low and _high.
+    comparisons : DataFrame
+        At most one row per frequency, with frequency_hz, angle_deg, baseline, design, baseline_ratio,
+        design_ratio, improvement (a fraction).
+    styles : mapping of str to DesignStyle
+        Style of each design, by its name.
+
+    Returns
+    -------
+    Figure
+        The figure.
     """
     frequencies = sorted(dynamic["frequency_hz"].dropna().unique())
     with house_style():
@@ -31,35 +42,37 @@ def ratio_angle_figure(dynamic: pd.DataFrame, comparisons: pd.DataFrame, looks: 
         grid = figure.subplots(1, max(len(frequencies), 1), sharey=True, squeeze=False)[0]
         for axes, frequency in zip(grid, frequencies, strict=False):
             here = dynamic[dynamic["frequency_hz"] == frequency].sort_values("dynamic_response_deg")
-            for name, look in looks.items():
-                _draw_design(axes, here[here["design"] == name], look)
+            for name, style in styles.items():
+                _draw_design(axes, here[here["design"] == name], style)
             axes.set_title(f"{frequency:g} Hz", loc="center")
             axes.set_xlabel("largest bending angle (°)")
-            quiet_grid(axes, "both")
+            light_grid(axes, "both")
             axes.set_xlim(left=0)
         for axes, frequency in zip(grid, frequencies, strict=False):
             for comparison in comparisons[comparisons["frequency_hz"] == frequency].to_dict("records"):
-                _draw_comparison(axes, comparison, looks)
+                _draw_comparison(axes, comparison, styles)
         grid[0].set_ylabel("hysteresis ratio")
-        used = [look for name, look in looks.items() if name in set(dynamic["design"])]
+        used = [style for name, style in styles.items() if name in set(dynamic["design"])]
         figure.legend(
-            handles=[look.handle() for look in used], loc="outside lower center", ncols=min(len(used), 4) or 1
+            handles=[style.handle() for style in used],
+            loc="outside lower center",
+            ncols=min(len(used), 4) or 1,
         )
     return figure
 
 
-def _draw_design(axes: Axes, trials: pd.DataFrame, look: Look) -> None:
+def _draw_design(axes: Axes, trials: pd.DataFrame, style: DesignStyle) -> None:
     if trials.empty:
         return
     x, y = (trials[column].to_numpy(float) for column in ("dynamic_response_deg", "hysteresis_ratio"))
-    axes.plot(x, y, color=look.colour, linestyle=look.line, linewidth=1.0, zorder=3, label=look.label)
+    axes.plot(x, y, color=style.colour, linestyle=style.line, linewidth=1.0, zorder=3, label=style.label)
     axes.errorbar(
         x,
         y,
         xerr=_arms(trials, "dynamic_response_deg"),
         yerr=_arms(trials, "hysteresis_ratio"),
         linestyle="none",
-        color=look.edge,
+        color=style.edge,
         linewidth=0.6,
         capsize=1.2,
         zorder=3.5,
@@ -68,10 +81,10 @@ def _draw_design(axes: Axes, trials: pd.DataFrame, look: Look) -> None:
         x,
         y,
         linestyle="none",
-        marker=look.marker,
+        marker=style.marker,
         markersize=4,
-        color=look.colour,
-        markeredgecolor=look.edge,
+        color=style.colour,
+        markeredgecolor=style.edge,
         markeredgewidth=0.6,
         zorder=4,
     )
@@ -84,25 +97,27 @@ def _arms(trials: pd.DataFrame, column: str) -> FloatArray:
     return np.abs(ends - value)
 
 
-def _draw_comparison(axes: Axes, best: Mapping[str, Any], looks: Mapping[str, Look]) -> None:
+def _draw_comparison(axes: Axes, best: Mapping[str, Any], styles: Mapping[str, DesignStyle]) -> None:
     """A dashed line at the angle of a comparison and both crossings, as the paper shows it."""
     angle, ratios = float(best["angle_deg"]), (float(best["baseline_ratio"]), float(best["design_ratio"]))
-    axes.axvline(angle, color=INK, linewidth=0.8, linestyle=(0, (4, 2.5)), zorder=2)
+    axes.axvline(angle, color=TEXT_GREY, linewidth=0.8, linestyle=(0, (4, 2.5)), zorder=2)
     for ratio in ratios:
-        axes.plot([0, angle], [ratio, ratio], color=QUIET, linewidth=0.5, linestyle=(0, (1.5, 1.5)), zorder=2)
+        axes.plot(
+            [0, angle], [ratio, ratio], color=AXIS_GREY, linewidth=0.5, linestyle=(0, (1.5, 1.5)), zorder=2
+        )
         axes.plot(
             angle,
             ratio,
             marker="o",
             markersize=6.5,
             color="none",
-            markeredgecolor=INK,
+            markeredgecolor=TEXT_GREY,
             markeredgewidth=0.9,
             zorder=6,
         )
         axes.annotate(
             f"{ratio:.3f}", (0, ratio), xytext=(3, 1.5), textcoords="offset points", va="bottom", zorder=6
         )
-    share = f"{-100 * best['improvement']:+.1f}\u00a0%".replace("-", MINUS)
-    words = f"at {angle:g}°: {looks[best['design']].label} {share} against {looks[best['baseline']].label}"
-    axes.set_title(f"{axes.get_title('center')}\n{words}", loc="center")
+    improvement = f"{-100 * best['improvement']:+.1f}\u00a0%".replace("-", MINUS)
+    caption = f"at {angle:g}°: {styles[best['design']].label} {improvement} against {styles[best['baseline']].label}"
+    axes.set_title(f"{axes.get_title('center')}\n{caption}", loc="center")

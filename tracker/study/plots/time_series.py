@@ -9,31 +9,44 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ...types import FloatArray
-from .looks import Look
 from .page import (
+    AXIS_GREY,
     PAGE_MM,
     PRESSURE_COLOUR,
-    QUIET,
-    as_drawn,
+    decimated,
     house_style,
-    limit_from_zero,
+    light_grid,
+    limits_with_zero,
     new_figure,
-    quiet_grid,
 )
+from .styles import DesignStyle
 
 if TYPE_CHECKING:
     from ..trial import TrialData
 
-# More columns than a page's width has at 300 dpi show nothing more.
+# Pixel columns: more than a page's width at 300 dpi show nothing more.
 _COLUMNS = 1500
 
 
-def time_series_figure(trial: TrialData, look: Look) -> Figure:
-    """Bending angle and pressure over time, on one time axis; where the angle is unknown the curve has a gap."""
+def time_series_figure(trial: TrialData, style: DesignStyle) -> Figure:
+    """Bending angle and pressure over time, on one time axis; where the angle is unknown the curve has a gap.
+
+    Parameters
+    ----------
+    trial : TrialData
+        The trial.
+    style : DesignStyle
+        Style of its design.
+
+    Returns
+    -------
+    Figure
+        The figure.
+    """
     with house_style():
         figure = new_figure(PAGE_MM, 78)
         angle_axes, pressure_axes = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-        draw_time_series(angle_axes, pressure_axes, trial, look)
+        draw_time_series(angle_axes, pressure_axes, trial, style)
         angle_axes.set_title(trial.name)
         handles, labels = pressure_axes.get_legend_handles_labels()
         if len(handles) > 1:
@@ -42,18 +55,28 @@ def time_series_figure(trial: TrialData, look: Look) -> Figure:
     return figure
 
 
-def draw_time_series(angle_axes: Axes, pressure_axes: Axes, trial: TrialData, look: Look) -> None:
-    """Draw a trial's angle and pressure over time into two axes, one above the other with one time axis."""
-    time_s, angle_deg = as_drawn(trial.time_s, trial.angle_deg, _COLUMNS)
-    angle_axes.plot(time_s, angle_deg, color=look.colour, linewidth=0.8, label="angle")
+def draw_time_series(angle_axes: Axes, pressure_axes: Axes, trial: TrialData, style: DesignStyle) -> None:
+    """Draw a trial's angle and pressure over time into two axes, one above the other with one time axis.
+
+    Parameters
+    ----------
+    angle_axes, pressure_axes : Axes
+        Axes to draw into.
+    trial : TrialData
+        The trial.
+    style : DesignStyle
+        Style of its design.
+    """
+    time_s, angle_deg = decimated(trial.time_s, trial.angle_deg, _COLUMNS)
+    angle_axes.plot(time_s, angle_deg, color=style.colour, linewidth=0.8, label="angle")
     angle_axes.set_ylabel("bending angle (°)")
     _limit(angle_axes, trial.angle_deg)
     _mark_gaps(angle_axes, trial.time_s, trial.angle_deg)
 
-    log_time_s, log_kpa = as_drawn(trial.log_time_s, trial.log_pressure_kpa, _COLUMNS)
+    log_time_s, log_kpa = decimated(trial.log_time_s, trial.log_pressure_kpa, _COLUMNS)
     pressure_axes.plot(log_time_s, log_kpa, color=PRESSURE_COLOUR, linewidth=0.8, label="measured pressure")
     if trial.log_reference_kpa is not None:
-        reference = as_drawn(trial.log_time_s, trial.log_reference_kpa, _COLUMNS)
+        reference = decimated(trial.log_time_s, trial.log_reference_kpa, _COLUMNS)
         pressure_axes.plot(*reference, color="0.1", linewidth=0.6, linestyle=(0, (2, 1.6)), label="reference")
     pressure_axes.set_ylabel("pressure (kPa)")
     pressure_axes.set_xlabel("time (s)")
@@ -62,8 +85,8 @@ def draw_time_series(angle_axes: Axes, pressure_axes: Axes, trial: TrialData, lo
         pressure_axes.set_xlim(float(trial.time_s[0]), float(trial.time_s[-1]))
     pressure_axes.locator_params(axis="x", nbins=7)
     for axes, labels in ((angle_axes, 4), (pressure_axes, 3)):
-        quiet_grid(axes)
-        # Half of the time that a figure takes goes into its ticks.
+        light_grid(axes)
+        # Half of the time to draw a figure is spent on its ticks.
         axes.locator_params(axis="y", nbins=labels)
     angle_axes.tick_params(labelbottom=False)
 
@@ -71,7 +94,7 @@ def draw_time_series(angle_axes: Axes, pressure_axes: Axes, trial: TrialData, lo
 def _limit(axes: Axes, values: FloatArray) -> None:
     known = values[np.isfinite(values)]
     low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
-    axes.set_ylim(limit_from_zero(low, high))
+    axes.set_ylim(limits_with_zero(low, high))
 
 
 def _mark_gaps(axes: Axes, time_s: FloatArray, angle_deg: FloatArray) -> None:
@@ -89,5 +112,10 @@ def _mark_gaps(axes: Axes, time_s: FloatArray, angle_deg: FloatArray) -> None:
         for start, end in zip(starts, ends, strict=True)
     ]
     axes.broken_barh(
-        bars, (0, 0.03), transform=axes.get_xaxis_transform(), color=QUIET, linewidth=0.6, label="no angle"
+        bars,
+        (0, 0.03),
+        transform=axes.get_xaxis_transform(),
+        color=AXIS_GREY,
+        linewidth=0.6,
+        label="no angle",
     )

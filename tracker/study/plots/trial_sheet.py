@@ -1,4 +1,4 @@
-"""The page of one trial: angle and pressure over time beside the leaf (the paper's figure of one trial)."""
+"""The sheet of one trial: angle and pressure over time, next to the leaf (the paper's figure of one trial)."""
 
 from __future__ import annotations
 
@@ -10,60 +10,88 @@ from matplotlib.transforms import blended_transform_factory
 
 from ...types import FloatArray
 from .leaf import draw_leaf
-from .looks import Look
-from .page import PAGE_MM, QUIET, house_style, new_figure
+from .page import AXIS_GREY, PAGE_MM, house_style, new_figure
+from .styles import DesignStyle
 from .time_series import draw_time_series
 
 if TYPE_CHECKING:
     from ..trial import TrialData
 
 
-_LEFT, _RIGHT, _RIGHT_BESIDE_LEAF = 0.074, 0.985, 0.655
+_LEFT, _RIGHT, _RIGHT_WITH_LEAF = 0.074, 0.985, 0.655
 
 
-def trial_sheet(
+def trial_sheet_figure(
     trial: TrialData,
-    look: Look,
+    style: DesignStyle,
     loops: Sequence[FloatArray] = (),
     *,
     largest_pressure_kpa: float = float("nan"),
     largest_angle_deg: float = float("nan"),
     apart: Sequence[FloatArray] = (),
     note: str = "",
-    paper: Figure | None = None,
+    sheet: Figure | None = None,
 ) -> Figure:
     """One trial's time series, and to its right the leaf where it has complete cycles (see `leaf.leaf_figure`).
 
     Parameters
     ----------
-    paper : a sheet from `blank_sheet`, or one of a trial that is done with, to be drawn on; None for a new one
+    trial : TrialData
+        The trial.
+    style : DesignStyle
+        Style of its design.
+    loops : sequence of ndarray of float, optional
+        (N, 2) kPa and deg of each cycle used.
+    largest_pressure_kpa, largest_angle_deg : float, optional
+        Sides of the rectangle, NaN for none.
+    apart : sequence of ndarray of float, optional
+        Excluded cycles, drawn in grey.
+    note : str, optional
+        Text inside the rectangle.
+    sheet : Figure or None, optional
+        A figure from `blank_sheet` or from an earlier call, which is wiped and reused; None for a new one.
+
+    Returns
+    -------
+    Figure
+        The figure.
     """
     with_leaf = len(loops) + len(apart) > 0
-    figure = blank_sheet(with_leaf) if paper is None else paper
+    figure = blank_sheet(with_leaf) if sheet is None else sheet
     with house_style():
         _wipe(figure)
         angle_axes, pressure_axes, *leaf_axes = figure.axes
-        draw_time_series(angle_axes, pressure_axes, trial, look)
+        draw_time_series(angle_axes, pressure_axes, trial, style)
         for axes in leaf_axes:
             draw_leaf(
                 axes,
                 loops,
-                look,
+                style,
                 largest_pressure_kpa=largest_pressure_kpa,
                 largest_angle_deg=largest_angle_deg,
                 apart=apart,
                 note=note,
             )
-        right = _RIGHT_BESIDE_LEAF if leaf_axes else _RIGHT
+        right = _RIGHT_WITH_LEAF if leaf_axes else _RIGHT
         figure.text(_LEFT, 0.955, trial.name, fontsize=8, va="center")
-        figure.text(right, 0.955, look.label, va="center", ha="right", color=QUIET)
+        figure.text(right, 0.955, style.label, va="center", ha="right", color=AXIS_GREY)
     return figure
 
 
 def blank_sheet(with_leaf: bool) -> Figure:
-    """The axes of a sheet, at fixed places: no layout is solved, and sheets can be laid over each other.
+    """The axes of a sheet, at fixed positions: no layout is solved, and all sheets are aligned.
 
-    To make axes and their ticks takes a third of the time of a sheet, so one that is done with is drawn on again.
+    Creating axes and ticks takes a third of the time of a sheet, so a finished sheet is reused.
+
+    Parameters
+    ----------
+    with_leaf : bool
+        Whether there are axes for a leaf.
+
+    Returns
+    -------
+    Figure
+        The figure.
     """
     with house_style():
         figure = new_figure(PAGE_MM, 62, layout=None)
@@ -71,7 +99,7 @@ def blank_sheet(with_leaf: bool) -> Figure:
             2,
             1,
             left=_LEFT,
-            right=_RIGHT_BESIDE_LEAF if with_leaf else _RIGHT,
+            right=_RIGHT_WITH_LEAF if with_leaf else _RIGHT,
             bottom=0.135,
             top=0.875,
             hspace=0.13,
@@ -82,7 +110,7 @@ def blank_sheet(with_leaf: bool) -> Figure:
         if with_leaf:
             figure.add_axes((0.735, 0.135, 0.25, 0.74))
         for axes in figure.axes:
-            # Labels at fixed places too: to put them beside the ticks, every tick would be measured.
+            # Fixed label positions too: automatic ones would measure every tick.
             across = blended_transform_factory(figure.transFigure, axes.transAxes)
             upwards = blended_transform_factory(axes.transAxes, figure.transFigure)
             axes.yaxis.set_label_coords(axes.get_position().x0 - 0.054, 0.5, transform=across)

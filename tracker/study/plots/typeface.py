@@ -1,4 +1,4 @@
-"""The typeface of the figures: matplotlib's own DejaVu Sans, cut down once so that embedding it again is quick.
+"""The typeface of the figures: matplotlib's own DejaVu Sans, subset once so that embedding it is fast.
 
 A study has a hundred PDFs. Embedding the whole font's layout tables costs more than drawing a figure does.
 """
@@ -16,21 +16,27 @@ from matplotlib import font_manager
 
 WHOLE_FAMILY = "DejaVu Sans"
 _FAMILY = "DejaVu Sans (figures)"
-# Latin-1 (with ° ± ×), dashes, quotes, ellipsis, minus. Other signs are taken from the whole font.
+# Latin-1 (with ° ± ×), dashes, quotes, ellipsis, minus. Other characters are taken from the whole font.
 _RANGES = ((0x20, 0x7E), (0xA0, 0xFF), (0x2010, 0x201F), (0x2026, 0x2026), (0x2212, 0x2212))
 _FAMILY_IDS = (1, 16)  # of OpenType's name table
 
 
 @cache
 def figure_families() -> tuple[str, ...]:
-    """Font families for `font.sans-serif`, made known to matplotlib: the small one, then the whole one."""
+    """Font families for `font.sans-serif`, registered with matplotlib: the subset, then the whole font.
+
+    Returns
+    -------
+    tuple of str
+        Names of font families.
+    """
     options = subset.Options(layout_features=[], name_IDs=["*"], glyph_names=False)
     options.drop_tables += ["GDEF", "GPOS", "GSUB", "kern", "FFTM"]
     path = _folder() / "figures.ttf"
     with subset.load_font(font_manager.findfont(WHOLE_FAMILY), options) as font:
-        cutter = subset.Subsetter(options)
-        cutter.populate(unicodes=[code for first, last in _RANGES for code in range(first, last + 1)])
-        cutter.subset(font)
+        subsetter = subset.Subsetter(options)
+        subsetter.populate(unicodes=[code for first, last in _RANGES for code in range(first, last + 1)])
+        subsetter.subset(font)
         for record in font["name"].names:
             if record.nameID in _FAMILY_IDS:
                 record.string = _FAMILY
@@ -40,7 +46,7 @@ def figure_families() -> tuple[str, ...]:
 
 
 def _folder() -> Path:
-    """A folder that is there until the program ends: matplotlib opens the font whenever it draws."""
+    """A folder that exists until the program ends: matplotlib opens the font whenever it draws."""
     folder = tempfile.mkdtemp(prefix="bendtrack-font-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return Path(folder)

@@ -1,6 +1,6 @@
-"""Work done ahead of the consumer, in background threads, a bounded number of items ahead.
+"""Prefetching: work in background threads, a bounded number of items ahead of the consumer.
 
-Decoding and networks release the interpreter lock, so they run beside each other. Knows nothing of video.
+Decoding and networks release the interpreter lock, so they run in parallel. Independent of video.
 """
 
 from __future__ import annotations
@@ -15,16 +15,30 @@ from typing import TypeVar
 T = TypeVar("T")
 R = TypeVar("R")
 
-_POLL_S = 0.1  # how late a stopped producer or a Ctrl-C may be noticed
+_POLL_S = 0.1  # longest delay until a stopped producer or a Ctrl-C is noticed
 
 
 def read_ahead(items: Iterable[T], size: int = 2) -> Generator[T, None, None]:
     """Iterate over `items` in a background thread, at most `size` of them ahead of the consumer.
 
     Order is kept. An exception of `items` (KeyboardInterrupt included) is raised in the consumer, after
-    what came before it. When the consumer stops early, close the generator (`contextlib.closing`): the
-    thread ends after the item at hand, and `items` is closed in it.
+    the items before it. When the consumer stops early, close the generator (`contextlib.closing`): the
+    thread ends after the current item, and `items` is closed in it.
 
+    Parameters
+    ----------
+    items : iterable of T
+        Produced in the background thread.
+    size : int, optional
+        Largest number of items ahead.
+
+    Raises
+    ------
+    ValueError
+        `size` is below 1.
+
+    Examples
+    --------
     >>> list(read_ahead(range(5), size=2))
     [0, 1, 2, 3, 4]
     """
@@ -76,15 +90,26 @@ def read_ahead(items: Iterable[T], size: int = 2) -> Generator[T, None, None]:
         thread.join()
 
 
-def side_by_side(
+def parallel_map(
     work: Callable[[T], R], items: Iterable[T], workers: int
 ) -> Generator[tuple[T, R], None, None]:
-    """Each of `items` with what `work` makes of it, in their order, `workers` of them worked on at the same time.
+    """Each of `items` with the result of `work`, in order, computed by `workers` threads in parallel.
 
-    An exception of `work` is raised in its item's turn. When the consumer stops early, close the generator: what is
-    being worked on is waited for, the rest is left.
+    An exception of `work` is raised at its item. When the consumer stops early, close the generator: running
+    work is waited for, the rest is cancelled.
 
-    >>> list(side_by_side(abs, [-1, 2, -3], workers=2))
+    Parameters
+    ----------
+    work : callable
+        Takes an item, returns its result.
+    items : iterable of T
+        Read in the consumer's thread, `workers` ahead.
+    workers : int
+        Number of threads.
+
+    Examples
+    --------
+    >>> list(parallel_map(abs, [-1, 2, -3], workers=2))
     [(-1, 1), (2, 2), (-3, 3)]
     """
     waiting: deque[tuple[T, Future[R]]] = deque()
@@ -93,10 +118,10 @@ def side_by_side(
             for item in items:
                 waiting.append((item, pool.submit(work, item)))
                 if len(waiting) > workers:
-                    first, made = waiting.popleft()
-                    yield first, made.result()
-            for item, made in waiting:
-                yield item, made.result()
+                    first, future = waiting.popleft()
+                    yield first, future.result()
+            for item, future in waiting:
+                yield item, future.result()
         finally:
-            for _, made in waiting:
-                made.cancel()
+            for _, future in waiting:
+                future.cancel()

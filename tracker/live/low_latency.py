@@ -1,7 +1,7 @@
-"""Live: the newest frame of a source becomes a bending angle; frames that were older by then are passed over.
+"""Low-latency mode: the newest frame of a source is measured; frames that became outdated meanwhile are dropped.
 
-Knows no network (any `types.Detector`) and no camera: where frames come from is in `sources.py`, how values are
-sent in `output.py`.
+Independent of network (any `types.Detector`) and camera: sources of frames are in `sources.py`, values are sent by
+`output.py`.
 """
 
 from __future__ import annotations
@@ -17,31 +17,44 @@ import numpy as np
 from ..angle import AngleDefinition
 from ..errors import VideoError
 from ..measuring import MIN_LIKELIHOOD, check_points, measure
-from ..types import Detections, Detector, Flag, SparingDetector, VideoDetector
+from ..types import Detections, Detector, DropAwareDetector, Flag, VideoDetector
 from ..video import Frame
 
-_POLL_S = 0.1  # how late a wish to stop may be noticed while no frame comes
-_JOIN_S = 1.0  # a camera that hangs is left alone after this
+_POLL_S = 0.1  # longest delay until a stop is noticed while no frame arrives
+_JOIN_S = 1.0  # a capture thread that hangs is abandoned after this time
 
 
 @dataclass(frozen=True)
 class Arrival:
-    """A frame, and when it was captured: seconds of `time.perf_counter`, as all moments here."""
+    """A frame, and when it was captured: seconds of `time.perf_counter`, like all times in this file.
+
+    Attributes
+    ----------
+    frame : Frame
+        The frame.
+    at_s : float
+        Time of capture, seconds of `time.perf_counter`.
+    """
 
     frame: Frame
     at_s: float
 
 
 class LiveSource(Protocol):
-    """Whatever delivers frames as time goes by.
+    """A source that delivers frames in real time.
 
     Attributes
     ----------
-    name : for messages
-    size_wh : (width, height) px that the frames will most likely have
-    rate : frames/s that it promises, None where it does not
-    silence_s : a pause after which it counts as gone; None where a pause says nothing
-    warnings : what the user should know, a line each; whole once it has ended
+    name : str
+        Name of the source, used in messages.
+    size_wh : tuple of (int, int)
+        (width, height) px that the frames are expected to have.
+    rate : float or None
+        Nominal frames/s, None where the source has none.
+    silence_s : float or None
+        A pause in s after which the source counts as lost; None where a pause means nothing.
+    warnings : list of str
+        Notes for the user, a line each; complete once the source has ended.
     """
 
     name: str
@@ -50,26 +63,48 @@ class LiveSource(Protocol):
     silence_s: float | None
 
     @property
-    def warnings(self) -> list[str]: ...
+    def warnings(self) -> list[str]:
+        """Notes for the user, a line each; complete once the source has ended."""
 
     def arrivals(self, begin: threading.Event, stop: threading.Event) -> Iterator[Arrival]:
-        """Frames, each when it is there, from the moment `begin` is set until `stop` is; frame 0 is the first then."""
+        """Frames as they arrive, from when `begin` is set until `stop` is set; the first of them is frame 0.
+
+        Parameters
+        ----------
+        begin : threading.Event
+            Set when frames are wanted; frames before are discarded.
+        stop : threading.Event
+            Set when no more frames are wanted.
+
+        Returns
+        -------
+        iterator of Arrival
+            The frames; ends with the source.
+        """
 
 
 @dataclass(frozen=True)
 class LiveValue:
-    """What was measured in one frame.
+    """The measurement of one frame.
 
     Attributes
     ----------
-    frame : its number at the source, passed over ones counted
-    time_s : when it was captured, from the first frame
-    angle_deg, angle_sd_deg : degrees, NaN where unknown
-    likelihood : the lowest of the angle's keypoints, NaN where the frame could not be decoded
-    flag : as in an angle table
-    latency_ms : from capture to this value
-    passed_over_s : `time_s` of the frames passed over since the value before
-    found : the keypoints, N = 1
+    frame : int
+        Index of the frame at the source; dropped frames are counted.
+    time_s : float
+        Capture time in s from the first frame.
+    angle_deg, angle_sd_deg : float
+        Degrees; NaN where unknown.
+    likelihood : float
+        Lowest likelihood of the angle's keypoints, NaN where the frame could not be decoded.
+    flag : Flag
+        Flag of the row, as in an angle table.
+    latency_ms : float
+        Time from capture to this value, ms.
+    dropped_s : tuple of float
+        `time_s` of the frames dropped since the previous value.
+    found : Detections
+        The keypoints of the frame, N = 1.
     """
 
     frame: int
@@ -79,13 +114,13 @@ class LiveValue:
     likelihood: float
     flag: Flag
     latency_ms: float
-    passed_over_s: tuple[float, ...]
+    dropped_s: tuple[float, ...]
     found: Detections
 
     @property
-    def passed_over(self) -> int:
-        """Frames passed over since the value before."""
-        return len(self.passed_over_s)
+    def dropped(self) -> int:
+        """Number of frames dropped since the previous value."""
+        return len(self.dropped_s)
 
 
 def measure_live(
@@ -97,59 +132,65 @@ def measure_live(
     duration_s: float | None = None,
     stop: threading.Event | None = None,
 ) -> Generator[LiveValue, None, None]:
-    """Measure the bending angle in the newest frame of a source, again and again.
+    """Measure the bending angle of the newest frame of a source, repeatedly.
 
-    While a frame is being measured the source goes on in a thread of its own, of whose frames only the newest is
-    kept. So a value is never older than its own measurement and the one before it, however slow the detector is.
+    A separate thread captures frames while one is being measured, and keeps only the newest. So the latency of a
+    value is at most the time of two measurements, however slow the detector is.
 
     Parameters
     ----------
-    source : where the frames come from; read once
-    detector : finds keypoints in frames; a `VideoDetector` is asked for one of its own for this source
-    definition : which angle, of which of the detector's keypoints
-    min_likelihood : a value with a keypoint of the angle below this is flagged `low_likelihood`
-    duration_s : end after this time
-    stop : ends it when set
+    source : LiveSource
+        Source of the frames; read once.
+    detector : Detector
+        Finds keypoints in frames; a `VideoDetector` is asked for a new detector for this source.
+    definition : AngleDefinition
+        Which angle, of which of the detector's keypoints.
+    min_likelihood : float, optional
+        A value with a keypoint of the angle below this is flagged `low_likelihood`.
+    duration_s : float or None, optional
+        End after this time, s.
+    stop : threading.Event or None, optional
+        Ends the measurement when set.
 
     Yields
     ------
     LiveValue
-        As soon as it is measured. Ends with the source.
+        Each value as soon as it is measured. Ends with the source.
 
     Raises
     ------
     VideoError
-        The source is gone.
+        The source is lost.
     AngleError
         The definition names a keypoint that the detector does not find.
     """
     check_points(detector.keypoints, definition)
     stop = stop or threading.Event()
-    with _Newest(source) as newest:
-        # Networks are slow the first time. Frames that come meanwhile are not yet wanted.
+    with _LatestFrame(source) as latest:
+        # Warm-up: networks are slow the first time. Frames that arrive meanwhile are ignored.
         detector.detect(np.zeros((1, *source.size_wh[::-1], 3), np.uint8))
         if isinstance(detector, VideoDetector):
             detector = detector.follow()
-        measuring = _Measuring(detector, definition, min_likelihood, source.size_wh)
-        begun_s = last_s = time.perf_counter()
-        newest.begin.set()
+        measurement = _FrameMeasurement(detector, definition, min_likelihood, source.size_wh)
+        start_s = last_s = time.perf_counter()
+        latest.begin.set()
         while not stop.is_set():
             now_s = time.perf_counter()
-            left_s = np.inf if duration_s is None else begun_s + duration_s - now_s
+            left_s = np.inf if duration_s is None else start_s + duration_s - now_s
             if left_s <= 0:
                 return
-            taken = newest.take(min(_POLL_S, left_s))
+            taken = latest.take(min(_POLL_S, left_s))
             if taken is not None:
                 last_s = now_s
-                yield measuring.value(*taken)
-            elif newest.is_over:
+                yield measurement.value(*taken)
+            elif latest.is_over:
                 return
             elif source.silence_s is not None and now_s - last_s > source.silence_s:
                 raise VideoError(f"{source.name}: no frame came for {source.silence_s:g} s")
 
 
-class _Newest:
-    """Takes all frames of a source in a thread, and keeps the newest. Leave the `with` block to end the thread."""
+class _LatestFrame:
+    """Captures the frames of a source in a thread and keeps the newest. The thread ends with the `with` block."""
 
     def __init__(self, source: LiveSource) -> None:
         self.begin = threading.Event()
@@ -158,11 +199,11 @@ class _Newest:
         self._source = source
         self._changed = threading.Condition()
         self._arrival: Arrival | None = None
-        self._passed_over_s: list[float] = []
+        self._dropped_s: list[float] = []
         self._error: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="bendtrack-capture", daemon=True)
 
-    def __enter__(self) -> _Newest:
+    def __enter__(self) -> _LatestFrame:
         self._thread.start()
         return self
 
@@ -173,12 +214,12 @@ class _Newest:
 
     @property
     def is_over(self) -> bool:
-        """Whether the source has ended and there is nothing left to take."""
+        """Whether the source has ended and its last frame was taken."""
         with self._changed:
             return self._ended and self._arrival is None and self._error is None
 
     def take(self, timeout_s: float) -> tuple[Arrival, tuple[float, ...]] | None:
-        """The newest frame not yet taken, and the times of those passed over for it; None if there is none in time."""
+        """The newest frame not yet taken, and the times of frames dropped before it; None after the timeout."""
         with self._changed:
             if self._arrival is None and not self._ended:
                 self._changed.wait(timeout_s)
@@ -186,9 +227,9 @@ class _Newest:
                 if self._error is not None:
                     raise self._error
                 return None
-            taken = self._arrival, tuple(self._passed_over_s)
+            taken = self._arrival, tuple(self._dropped_s)
             self._arrival = None
-            self._passed_over_s.clear()
+            self._dropped_s.clear()
             return taken
 
     def _run(self) -> None:
@@ -211,13 +252,13 @@ class _Newest:
     def _put(self, arrival: Arrival) -> None:
         with self._changed:
             if self._arrival is not None:
-                self._passed_over_s.append(self._arrival.frame.time_s)
+                self._dropped_s.append(self._arrival.frame.time_s)
             self._arrival = arrival
             self._changed.notify()
 
 
-class _Measuring:
-    """A detector at work on frames of one source."""
+class _FrameMeasurement:
+    """Applies a detector to the frames of one source."""
 
     def __init__(
         self,
@@ -231,18 +272,18 @@ class _Measuring:
         self._definition = definition
         self._min_likelihood = min_likelihood
         self._chain = [detector.keypoints.index(point) for point in definition.points]
-        self._unseen = 0  # frames since the last that the detector was given
+        self._n_not_seen = 0  # frames since the last one given to the detector
 
-    def value(self, arrival: Arrival, passed_over_s: tuple[float, ...]) -> LiveValue:
+    def value(self, arrival: Arrival, dropped_s: tuple[float, ...]) -> LiveValue:
         frame, image = arrival.frame, arrival.frame.image
-        self._unseen += len(passed_over_s)
+        self._n_not_seen += len(dropped_s)
         if image is None:
-            self._unseen += 1
-            found = _nothing(len(self._detector.keypoints))
+            self._n_not_seen += 1
+            found = _no_detection(len(self._detector.keypoints))
         else:
-            if self._unseen and isinstance(self._detector, SparingDetector):
-                self._detector.pass_over(self._unseen)
-            self._unseen = 0
+            if self._n_not_seen and isinstance(self._detector, DropAwareDetector):
+                self._detector.skip_frames(self._n_not_seen)
+            self._n_not_seen = 0
             found = self._detector.detect(image[None])
         rows = measure(
             found,
@@ -261,10 +302,10 @@ class _Measuring:
             likelihood=float(found.likelihood[0, self._chain].min()),
             flag=Flag(str(rows.flag[0])),
             latency_ms=1e3 * (time.perf_counter() - arrival.at_s),
-            passed_over_s=passed_over_s,
+            dropped_s=dropped_s,
             found=found,
         )
 
 
-def _nothing(k: int) -> Detections:
+def _no_detection(k: int) -> Detections:
     return Detections(np.full((1, k, 2), np.nan), np.full((1, k), np.nan), np.full((1, k, 2, 2), np.nan))

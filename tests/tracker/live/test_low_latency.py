@@ -1,4 +1,4 @@
-"""Live measuring: the newest frame wins, whatever the detector takes; values mean what a table's rows mean."""
+"""Low-latency mode: only the newest frame is measured, however slow the detector; values equal a table's rows."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ import pytest
 from bendtrack.tracker.angle import AngleDefinition
 from bendtrack.tracker.container import Orientation
 from bendtrack.tracker.errors import AngleError, BendtrackError, VideoError
-from bendtrack.tracker.live.newest_first import Arrival, LiveValue, measure_live
+from bendtrack.tracker.live.low_latency import Arrival, LiveValue, measure_live
 from bendtrack.tracker.live.output import COLUMNS, HEADER, UdpTarget, line_of
 from bendtrack.tracker.live.recording import Recording
 from bendtrack.tracker.live.sources import PlayedFile
@@ -49,8 +49,8 @@ class Scripted:
     def arrivals(self, begin: threading.Event, stop: threading.Event) -> Iterator[Arrival]:
         begin.wait()
         for index, image in enumerate(self._script(stop)):
-            picture = None if image is None else av.VideoFrame.from_ndarray(image)
-            yield Arrival(Frame(index, index / 60, picture, Orientation()), time.perf_counter())
+            frame = None if image is None else av.VideoFrame.from_ndarray(image)
+            yield Arrival(Frame(index, index / 60, frame, Orientation()), time.perf_counter())
 
 
 class Watched:
@@ -79,7 +79,7 @@ def number_of(value: LiveValue) -> int:
     return round(value.angle_deg / 10)
 
 
-# --- the newest wins
+# --- dropped frames
 
 
 def test_while_the_detector_works_only_the_newest_frame_is_kept(film):
@@ -110,8 +110,8 @@ def test_while_the_detector_works_only_the_newest_frame_is_kept(film):
             done.set()
     assert [value.frame for value in values] == [0, 4, 5]
     assert [number_of(value) for value in values] == [0, 4, 5]
-    assert [value.passed_over for value in values] == [0, 3, 0]
-    assert values[1].passed_over_s == pytest.approx((1 / 60, 2 / 60, 3 / 60))
+    assert [value.dropped for value in values] == [0, 3, 0]
+    assert values[1].dropped_s == pytest.approx((1 / 60, 2 / 60, 3 / 60))
     assert all(value.latency_ms > 0 for value in values)
 
 
@@ -127,15 +127,15 @@ def test_a_file_is_not_waited_for_either(film, short_video):
 
     values = list(measure_live(source, Slow(), ANGLE))
     assert [value.frame for value in values] == [0, 11]
-    assert values[1].passed_over == 10
+    assert values[1].dropped == 10
     assert values[1].angle_deg == pytest.approx(120, abs=1.5)
     # The last frame waited for the first to be measured, not longer; the first took as long as the film.
     assert values[0].latency_ms > values[1].latency_ms
     assert values[0].latency_ms >= 1e3 * 11 / 60
 
 
-def test_the_detector_is_told_of_frames_that_it_is_spared(film):
-    told: list[int] = []
+def test_the_detector_is_notified_of_dropped_frames(film):
+    dropped: list[int] = []
     at_work, kept = threading.Event(), threading.Event()
 
     def script(stop: threading.Event) -> Iterator[np.ndarray | None]:
@@ -145,9 +145,9 @@ def test_the_detector_is_told_of_frames_that_it_is_spared(film):
             yield film.draw_arm(10.0 * n)
         kept.set()
 
-    class OfOneVideo(film.DiscDetector):
-        def pass_over(self, frames: int) -> None:
-            told.append(frames)
+    class DetectorOfOneVideo(film.DiscDetector):
+        def skip_frames(self, count: int) -> None:
+            dropped.append(count)
 
         def detect(self, frames: np.ndarray) -> Detections:
             at_work.set()
@@ -157,15 +157,15 @@ def test_the_detector_is_told_of_frames_that_it_is_spared(film):
     class Follows(film.DiscDetector):
         workers = 1
 
-        def stretch_frames(self, size_wh: tuple[int, int], frames: int | None) -> int:
+        def chunk_frames(self, size_wh: tuple[int, int], frames: int | None) -> int:
             return self.batch_size
 
-        def follow(self) -> OfOneVideo:
-            return OfOneVideo()
+        def follow(self) -> DetectorOfOneVideo:
+            return DetectorOfOneVideo()
 
     values = list(measure_live(Scripted(script, (160, 120)), Follows(), ANGLE))
     assert [value.frame for value in values] == [0, 3]
-    assert told == [2]
+    assert dropped == [2]
 
 
 # --- what a value means
@@ -262,7 +262,7 @@ def test_what_came_before_a_failure_is_measured_first(film):
         next(values)
 
 
-# --- what is told of it
+# --- output
 
 
 def value_of(**changes: Any) -> LiveValue:
@@ -275,7 +275,7 @@ def value_of(**changes: Any) -> LiveValue:
         "likelihood": 0.87654,
         "flag": Flag.LOW_LIKELIHOOD,
         "latency_ms": 12.3456,
-        "passed_over_s": (0.1, 0.2),
+        "dropped_s": (0.1, 0.2),
         "found": nothing,
     }
     return LiveValue(**{**fields, **changes})
@@ -359,14 +359,14 @@ def test_a_recording_has_a_row_for_every_frame(film, tmp_path):
     frames = [value.frame for value in values]
     assert len(read) == frames[-1] + 1
     np.testing.assert_allclose(read.time_s, np.arange(len(read)) / 60)
-    passed_over = np.setdiff1d(np.arange(len(read)), frames)
-    assert len(passed_over) >= 1
-    assert set(read.flag[passed_over]) == {"passed_over"}
-    assert np.isnan(read.angle_deg[passed_over]).all()
-    assert np.isnan(read.xy[passed_over]).all()
+    dropped = np.setdiff1d(np.arange(len(read)), frames)
+    assert len(dropped) >= 1
+    assert set(read.flag[dropped]) == {"passed_over"}
+    assert np.isnan(read.angle_deg[dropped]).all()
+    assert np.isnan(read.xy[dropped]).all()
     for value in values:
         np.testing.assert_array_equal(read.angle_deg[value.frame], value.angle_deg)
         np.testing.assert_array_equal(read.covariance[value.frame], value.found.covariance[0])
         assert read.flag[value.frame] == value.flag
-    assert read.provenance["video"]["frames_passed_over"] == len(passed_over)
+    assert read.provenance["video"]["frames_passed_over"] == len(dropped)
     assert read.provenance["warnings"] == ["a word"]

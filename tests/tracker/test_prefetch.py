@@ -7,7 +7,7 @@ from contextlib import closing
 import pytest
 
 from bendtrack.tracker.errors import VideoError
-from bendtrack.tracker.read_ahead import read_ahead
+from bendtrack.tracker.prefetch import read_ahead
 
 
 def test_read_ahead_hands_over_errors_and_stops_when_told():
