@@ -76,7 +76,7 @@ def box(x: float, y: float, colour: str, stage: tuple[str, str, str]) -> str:
             text(x + 22, y + 31.5, number, 12.5, "#fff", 700, "middle"),
             text(x + 43, y + (23 if second else 32), first, 13.5, "#1d2630", 600),
             text(x + 43, y + 40, second, 13.5, "#1d2630", 600),
-            text(x + 12, y + 74, detail, 11.5, "#55606b"),
+            text(x + 12, y + 74, detail, 11, "#55606b"),
         ]
     )
 
