@@ -49,7 +49,6 @@ copybutton_prompt_text = r"\$ |PS> "
 copybutton_prompt_is_regexp = True
 
 
-
 def _figure_style(_gallery: dict[str, object], _file: str) -> None:
     """One look for the figures of all examples, whatever the example before left."""
     import matplotlib
@@ -119,7 +118,9 @@ html_theme_options = {
 html_sidebars = {"index": [], "figures-measured": [], "getting-started": []}
 
 
-def _escape_patterns(_app: object, _what: str, _name: str, _object: object, _options: object, lines: list[str]) -> None:
+def _escape_patterns(
+    _app: object, _what: str, _name: str, _object: object, _options: object, lines: list[str]
+) -> None:
     """File patterns in docstrings, such as *.csv, are not emphasis."""
     lines[:] = [re.sub(r"(?<!`)\*(?=\.\w)", r"\\*", line) for line in lines]
 

@@ -2,8 +2,8 @@
 Bending angle from points
 =========================
 
-Four points give the bending angle of a frame. This example shows one frame of the sample trial, computes its angle, and compares the
-four definitions on a circular arc that bends past 180 degrees.
+Four points give the bending angle of a frame. This example shows one frame of the sample trial, computes
+its angle, and compares the four definitions on a circular arc that bends past 180 degrees.
 """
 
 # %%
@@ -50,7 +50,8 @@ figure.tight_layout()
 # %%
 # Four definitions
 # ----------------
-# Five points on a circular arc, held at a straight fixed end. The sum of turns follows the arc past 180 degrees.
+# Five points on a circular arc, held at a straight fixed end. The sum of turns follows the arc past 180
+# degrees.
 
 names = ("base_1", "base_2", "mid_1", "tip_1", "tip_2")
 bend_deg = np.linspace(1, 260, 200)
@@ -74,5 +75,6 @@ axes.legend()
 figure.tight_layout()
 
 # %%
-# ``arc-fit`` equals the arc. ``two-vector`` measures between the middles of the first and the last segment, so with five points on a
-# continuous arc it gives three quarters of the bend. Real actuators have straight ends, and there it gives all of it.
+# ``arc-fit`` equals the arc. ``two-vector`` measures between the middles of the first and the last segment,
+# so with five points on a continuous arc it gives three quarters of the bend. Real actuators have straight
+# ends, and there it gives all of it.

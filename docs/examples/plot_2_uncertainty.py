@@ -2,8 +2,8 @@
 Uncertainty, and where to place points
 ======================================
 
-How exactly can the angle be known? This example carries the uncertainty of points into the angle, checks it by simulation, and draws the
-label-noise floor.
+How exactly can the angle be known? This example carries the uncertainty of points into the angle, checks it
+by simulation, and draws the label-noise floor.
 """
 
 # %%
@@ -57,8 +57,9 @@ figure.tight_layout()
 # %%
 # The label-noise floor
 # ---------------------
-# A network learns from *n* labels that are each off by about 1 px. Averaged over the labels, the angle cannot be known better than
-# :math:`2 \sigma / (\sqrt{n} L)`. Twice the length of the end vectors is worth four times the labels.
+# A network learns from *n* labels that are each off by about 1 px. Averaged over the labels, the angle
+# cannot be known better than :math:`2 \sigma / (\sqrt{n} L)`. Twice the length of the end vectors is worth
+# four times the labels.
 
 length_px = np.linspace(15, 120, 200)
 figure, axes = plt.subplots(figsize=(6.4, 4))

@@ -2,14 +2,15 @@
 Hysteresis of a loop
 ====================
 
-From a pressure log and angles to the hysteresis ratio. The sample trial was rendered with a ratio of 0.25 in every cycle, so the result can
-be checked.
+From a pressure log and angles to the hysteresis ratio. The sample trial was rendered with a ratio of 0.25
+in every cycle, so the result can be checked.
 """
 
 # %%
 # Bring the log to the frames
 # ---------------------------
-# The log has 400 samples per second, the video 30 frames. The pressure at a frame is a line fitted to the samples around it.
+# The log has 400 samples per second, the video 30 frames. The pressure at a frame is a line fitted to the
+# samples around it.
 
 from importlib.resources import files
 
@@ -33,7 +34,8 @@ pressure_kpa, rate_kpa_s = pressure_at_frames(time_s, log.time_s, log.pressure_k
 # %%
 # One loop
 # --------
-# A cycle lasts 6.67 s. Its area over the rectangle from the axes to the largest pressure and angle is the hysteresis ratio.
+# A cycle lasts 6.67 s. Its area over the rectangle from the axes to the largest pressure and angle is the
+# hysteresis ratio.
 
 cycle = (time_s >= 1 / 0.15) & (time_s <= 2 / 0.15)
 loop = np.column_stack([pressure_kpa[cycle], angle_deg[cycle]])
@@ -54,7 +56,8 @@ figure.tight_layout()
 # %%
 # With intervals
 # --------------
-# ``analyse_study`` finds the cycles, fits the largest angle, and carries the clock's uncertainty into a 95 % interval.
+# ``analyse_study`` finds the cycles, fits the largest angle, and carries the clock's uncertainty into a 95
+# % interval.
 
 trial = TrialData(
     name="sample",
@@ -77,8 +80,8 @@ results.dynamic[["trial", "hysteresis_ratio", "hysteresis_ratio_low", "hysteresi
 # %%
 # A wrong clock looks like hysteresis
 # -----------------------------------
-# Shift the log by a few frames and the ratio changes, although the actuator did the same. This is why bendtrack never fits the shift by
-# making the loop small.
+# Shift the log by a few frames and the ratio changes, although the actuator did the same. This is why
+# bendtrack never fits the shift by making the loop small.
 
 frames = np.arange(-3, 4)
 ratios = []

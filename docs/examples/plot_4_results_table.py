@@ -2,15 +2,15 @@
 Reading a results table
 =======================
 
-``bendtrack track`` leaves a table for every video. This example writes one, reads it back, and plots the angle with its uncertainty and
-its flagged rows.
+``bendtrack track`` leaves a table for every video. This example writes one, reads it back, and plots the
+angle with its uncertainty and its flagged rows.
 """
 
 # %%
 # A table
 # -------
-# So that the example runs anywhere, the table is made from the sample trial's exact points, with 0.3 px of noise and a stretch in which
-# the tip was hidden. Yours comes from ``bendtrack track``.
+# So that the example runs anywhere, the table is made from the sample trial's exact points, with 0.3 px of
+# noise and a stretch in which the tip was hidden. Yours comes from ``bendtrack track``.
 
 import tempfile
 from importlib.resources import files
@@ -77,9 +77,7 @@ axes.fill_between(table.time_s, low, high, alpha=0.25, color="#0072B2", linewidt
 axes.plot(
     table.time_s, np.where(sound, table.angle_deg, np.nan), color="#0072B2", lw=1.2, label="bending angle"
 )
-axes.plot(
-    table.time_s[~sound], table.angle_deg[~sound], "o", ms=3.5, color="#E69F00", label="low_likelihood"
-)
+axes.plot(table.time_s[~sound], table.angle_deg[~sound], "o", ms=3.5, color="#E69F00", label="low_likelihood")
 axes.set(xlabel="time (s)", ylabel="bending angle (deg)")
 axes.legend(loc="upper right")
 figure.tight_layout()

@@ -2,14 +2,15 @@
 Rendering a synthetic trial
 ===========================
 
-A rendered trial looks like a film of a soft actuator, and everything about it is known exactly. It serves to try settings, to teach, and
-to test your own analysis.
+A rendered trial looks like a film of a soft actuator, and everything about it is known exactly. It serves
+to try settings, to teach, and to test your own analysis.
 """
 
 # %%
 # Render
 # ------
-# One cycle of a triangle wave at 0.5 Hz, small and short so that this page builds quickly. ``seed`` draws the look.
+# One cycle of a triangle wave at 0.5 Hz, small and short so that this page builds quickly. ``seed`` draws
+# the look.
 
 import tempfile
 from pathlib import Path

@@ -2,14 +2,16 @@
 Static curve against a model
 ============================
 
-A staircase of pressure gives the static curve of an actuator. This example finds the stairs, reads the angle at the steady end of each, and
-compares the curve with a model, for example a finite-element simulation.
+A staircase of pressure gives the static curve of an actuator. This example finds the stairs, reads the
+angle at the steady end of each, and compares the curve with a model, for example a finite-element
+simulation.
 """
 
 # %%
 # A simulated staircase
 # ---------------------
-# Steps of 5 kPa from 0 to 50 kPa, each held for 3 s. The angle creeps a little after each step and has 0.4 degrees of noise.
+# Steps of 5 kPa from 0 to 50 kPa, each held for 3 s. The angle creeps a little after each step and has 0.4
+# degrees of noise.
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -18,9 +20,7 @@ from bendtrack.tracker import analyse_study
 from bendtrack.tracker.study.trial import Kind, Shift, TrialData
 from bendtrack.tracker.synthetic.response import HystereticResponse, staircase_duration_s, staircase_kpa
 
-response = HystereticResponse(
-    pressure_peak_kpa=50, angle_min_deg=0, angle_max_deg=182, hysteresis_ratio=0.1
-)
+response = HystereticResponse(pressure_peak_kpa=50, angle_min_deg=0, angle_max_deg=182, hysteresis_ratio=0.1)
 duration_s = staircase_duration_s(50)
 time_s = np.arange(int(duration_s * 30)) / 30
 log_time_s = np.arange(int(duration_s * 400)) / 400

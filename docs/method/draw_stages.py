@@ -51,7 +51,9 @@ LANES = [
 ]
 
 
-def text(x: float, y: float, words: str, size: float, colour: str, weight: int = 400, anchor: str = "start") -> str:
+def text(
+    x: float, y: float, words: str, size: float, colour: str, weight: int = 400, anchor: str = "start"
+) -> str:
     return (
         f'<text x="{x:g}" y="{y:g}" font-size="{size:g}" fill="{colour}" font-weight="{weight}" '
         f'text-anchor="{anchor}">{escape(words)}</text>'
@@ -86,7 +88,9 @@ def drawing() -> str:
     for title, colour, ground, stages in LANES:
         rows = [stages[i : i + 5] for i in range(0, len(stages), 5)]
         height = 46 + len(rows) * (BOX_H + GAP) + 4
-        parts.append(f'<rect x="16" y="{y:g}" width="{WIDTH - 32}" height="{height:g}" rx="14" fill="{ground}"/>')
+        parts.append(
+            f'<rect x="16" y="{y:g}" width="{WIDTH - 32}" height="{height:g}" rx="14" fill="{ground}"/>'
+        )
         parts.append(text(LEFT, y + 30, title, 16, colour, 700))
         for r, row in enumerate(rows):
             top = y + 46 + r * (BOX_H + GAP)
@@ -94,7 +98,9 @@ def drawing() -> str:
                 x = LEFT + c * (BOX_W + GAP)
                 parts.append(box(x, top, colour, stage))
                 if c + 1 < len(row):
-                    parts.append(arrow(x + BOX_W + 2, top + BOX_H / 2, x + BOX_W + GAP - 4, top + BOX_H / 2, colour))
+                    parts.append(
+                        arrow(x + BOX_W + 2, top + BOX_H / 2, x + BOX_W + GAP - 4, top + BOX_H / 2, colour)
+                    )
             if r + 1 < len(rows):
                 last, first = LEFT + 4 * (BOX_W + GAP) + BOX_W / 2, LEFT + BOX_W / 2
                 middle = top + BOX_H + GAP / 2
