@@ -22,12 +22,20 @@ from bendtrack.tracker import AngleDefinition, Video, bending_angle
 sample = files("bendtrack.data_samples")
 truth = pd.read_csv(str(sample / "truth.csv"))
 keypoints = ("base_1", "base_2", "tip_1", "tip_2")
-xy = truth[[f"{name}_{axis}" for name in keypoints for axis in "xy"]].to_numpy().reshape(-1, 4, 2)
+xy = (
+    truth[[f"{name}_{axis}" for name in keypoints for axis in "xy"]]
+    .to_numpy()
+    .reshape(-1, 4, 2)
+)
 
-definition = AngleDefinition("two-vector", keypoints, sign=-1)  # this actuator bends counterclockwise
+definition = AngleDefinition(
+    "two-vector", keypoints, sign=-1
+)  # this actuator bends counterclockwise
 angle_deg, _, _ = bending_angle(xy, keypoints, definition)
 largest = int(np.argmax(angle_deg))
-print(f"frame {largest}: {angle_deg[largest]:.2f} degrees, exactly {truth['angle_deg'][largest]:.2f}")
+print(
+    f"frame {largest}: {angle_deg[largest]:.2f} degrees, exactly {truth['angle_deg'][largest]:.2f}"
+)
 
 # %%
 # The two end vectors define the angle: 200 degrees, from a single frame and without a jump at 180.
@@ -40,9 +48,17 @@ for index, frame in enumerate(Video(str(sample / "video.mp4"))):
 figure, axes = plt.subplots(figsize=(6.4, 4.8))
 axes.imshow(image)
 for (x, y), (dx, dy), colour in zip(
-    xy[largest, [0, 2]], np.diff(xy[largest], axis=0)[[0, 2]], ("#E69F00", "#56B4E9"), strict=True
+    xy[largest, [0, 2]],
+    np.diff(xy[largest], axis=0)[[0, 2]],
+    ("#E69F00", "#56B4E9"),
+    strict=True,
 ):
-    axes.annotate("", (x + dx, y + dy), (x, y), arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 3})
+    axes.annotate(
+        "",
+        (x + dx, y + dy),
+        (x, y),
+        arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 3},
+    )
 axes.plot(*xy[largest].T, "o", color="white", markeredgecolor="black", markersize=6)
 axes.set(xticks=[], yticks=[], title=f"{angle_deg[largest]:.1f} degrees")
 figure.tight_layout()
@@ -58,7 +74,10 @@ bend_deg = np.linspace(1, 260, 200)
 place = np.linspace(0, 1, 5)
 radius = 200 / np.radians(bend_deg)
 turned = np.radians(bend_deg)[:, None] * place
-arc = np.stack([radius[:, None] * np.sin(turned), radius[:, None] * (1 - np.cos(turned))], axis=-1)
+arc = np.stack(
+    [radius[:, None] * np.sin(turned), radius[:, None] * (1 - np.cos(turned))],
+    axis=-1,
+)
 
 figure, axes = plt.subplots(figsize=(6.4, 4))
 for name, points in (

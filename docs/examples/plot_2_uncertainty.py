@@ -26,13 +26,17 @@ def arm(end_vector_px: float, angle_deg: float = 90.0) -> np.ndarray:
     turn = np.radians(angle_deg)
     base = np.array([[0.0, 0.0], [end_vector_px, 0.0]])
     tip = base[1] + 200 * np.array([np.cos(turn / 2), np.sin(turn / 2)])
-    return np.stack([*base, tip, tip + end_vector_px * np.array([np.cos(turn), np.sin(turn)])])
+    return np.stack(
+        [*base, tip, tip + end_vector_px * np.array([np.cos(turn), np.sin(turn)])]
+    )
 
 
 sigma_px = 0.5
 covariance = np.broadcast_to(np.eye(2) * sigma_px**2, (1, 4, 2, 2))
 for length_px in (20, 40, 60, 100):
-    _, sd_deg, _ = bending_angle(arm(length_px)[None], keypoints, definition, covariance)
+    _, sd_deg, _ = bending_angle(
+        arm(length_px)[None], keypoints, definition, covariance
+    )
     print(f"L = {length_px:3d} px: standard deviation {sd_deg[0]:.2f} degrees")
 
 # %%
@@ -45,10 +49,21 @@ figure, axes = plt.subplots(figsize=(6.4, 3.6))
 for length_px, colour in ((20, "#E69F00"), (60, "#0072B2")):
     noisy = arm(length_px) + rng.normal(0, sigma_px, (20_000, 4, 2))
     measured_deg, _, _ = bending_angle(noisy, keypoints, definition)
-    _, sd_deg, _ = bending_angle(arm(length_px)[None], keypoints, definition, covariance)
-    axes.hist(measured_deg, bins=80, density=True, alpha=0.55, color=colour, label=f"L = {length_px} px")
+    _, sd_deg, _ = bending_angle(
+        arm(length_px)[None], keypoints, definition, covariance
+    )
+    axes.hist(
+        measured_deg,
+        bins=80,
+        density=True,
+        alpha=0.55,
+        color=colour,
+        label=f"L = {length_px} px",
+    )
     x = np.linspace(84, 96, 400)
-    density = np.exp(-0.5 * ((x - 90) / sd_deg[0]) ** 2) / (sd_deg[0] * np.sqrt(2 * np.pi))
+    density = np.exp(-0.5 * ((x - 90) / sd_deg[0]) ** 2) / (
+        sd_deg[0] * np.sqrt(2 * np.pi)
+    )
     axes.plot(x, density, color=colour)
 axes.set(xlabel="measured angle (deg)", ylabel="density", xlim=(84, 96))
 axes.legend()
@@ -68,6 +83,10 @@ for labels in (5, 10, 30, 100):
     axes.plot(length_px, floor_deg, label=f"{labels} labels")
 axes.axvspan(15, 40, color="0.93", zorder=0)
 axes.text(17, 0.06, "place the points\nfarther apart", color="0.35")
-axes.set(xlabel="length L of the end vectors (px)", ylabel="label-noise floor (deg)", ylim=(0, 4))
+axes.set(
+    xlabel="length L of the end vectors (px)",
+    ylabel="label-noise floor (deg)",
+    ylim=(0, 4),
+)
 axes.legend()
 figure.tight_layout()

@@ -28,7 +28,9 @@ sample = files("bendtrack.data_samples")
 truth = pd.read_csv(str(sample / "truth.csv"))
 log = read_pressure_log(str(sample / "pressure.csv"))
 time_s = truth["time_s"].to_numpy()
-angle_deg = truth["angle_deg"].to_numpy() + np.random.default_rng(0).normal(0, 0.3, len(truth))
+angle_deg = truth["angle_deg"].to_numpy() + np.random.default_rng(0).normal(
+    0, 0.3, len(truth)
+)
 pressure_kpa, rate_kpa_s = pressure_at_frames(time_s, log.time_s, log.pressure_kpa)
 
 # %%
@@ -47,9 +49,17 @@ figure, axes = plt.subplots(figsize=(6, 4.4))
 axes.fill(*loop.T, color="#56B4E9", alpha=0.3)
 axes.plot(*loop.T, color="#0072B2")
 axes.plot(
-    [0, loop[:, 0].max(), loop[:, 0].max()], [loop[:, 1].max(), loop[:, 1].max(), 0], color="0.5", ls="--"
+    [0, loop[:, 0].max(), loop[:, 0].max()],
+    [loop[:, 1].max(), loop[:, 1].max(), 0],
+    color="0.5",
+    ls="--",
 )
-axes.set(xlabel="pressure (kPa)", ylabel="bending angle (deg)", xlim=(0, None), ylim=(0, None))
+axes.set(
+    xlabel="pressure (kPa)",
+    ylabel="bending angle (deg)",
+    xlim=(0, None),
+    ylim=(0, None),
+)
 axes.set_title(f"hysteresis ratio {ratio:.3f}")
 figure.tight_layout()
 
@@ -75,7 +85,9 @@ trial = TrialData(
     shift=Shift(delay_s=0.0, sd_s=0.0, method="shared clock"),
 )
 results = analyse_study([trial], baseline=None)
-results.dynamic[["trial", "hysteresis_ratio", "hysteresis_ratio_low", "hysteresis_ratio_high"]].round(3)
+results.dynamic[
+    ["trial", "hysteresis_ratio", "hysteresis_ratio_low", "hysteresis_ratio_high"]
+].round(3)
 
 # %%
 # A wrong clock looks like hysteresis
@@ -86,12 +98,20 @@ results.dynamic[["trial", "hysteresis_ratio", "hysteresis_ratio_low", "hysteresi
 frames = np.arange(-3, 4)
 ratios = []
 for shift in frames:
-    shifted_kpa, _ = pressure_at_frames(time_s, log.time_s + shift / 30, log.pressure_kpa)
+    shifted_kpa, _ = pressure_at_frames(
+        time_s, log.time_s + shift / 30, log.pressure_kpa
+    )
     moved = np.column_stack([shifted_kpa[cycle], angle_deg[cycle]])
-    ratios.append(hysteresis_ratio(loop_area_deg_kpa(moved), moved[:, 0].max(), moved[:, 1].max()))
+    ratios.append(
+        hysteresis_ratio(
+            loop_area_deg_kpa(moved), moved[:, 0].max(), moved[:, 1].max()
+        )
+    )
 
 figure, axes = plt.subplots(figsize=(6, 3.4))
 axes.plot(frames, ratios, "o-", color="#D55E00")
 axes.axhline(0.25, color="0.6", ls=":")
-axes.set(xlabel="shift of the log (frames at 30 per second)", ylabel="hysteresis ratio")
+axes.set(
+    xlabel="shift of the log (frames at 30 per second)", ylabel="hysteresis ratio"
+)
 figure.tight_layout()

@@ -19,11 +19,21 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
-from bendtrack.tracker import AngleDefinition, AngleTable, bending_angle, read_results, write_results
+from bendtrack.tracker import (
+    AngleDefinition,
+    AngleTable,
+    bending_angle,
+    read_results,
+    write_results,
+)
 
 keypoints = ("base_1", "base_2", "tip_1", "tip_2")
 truth = pd.read_csv(str(files("bendtrack.data_samples") / "truth.csv"))
-xy = truth[[f"{name}_{axis}" for name in keypoints for axis in "xy"]].to_numpy().reshape(-1, 4, 2)
+xy = (
+    truth[[f"{name}_{axis}" for name in keypoints for axis in "xy"]]
+    .to_numpy()
+    .reshape(-1, 4, 2)
+)
 rng = np.random.default_rng(1)
 noise_px = np.full((len(xy), 4), 0.3)
 hidden = slice(240, 275)
@@ -64,7 +74,9 @@ table.to_dataframe().head()
 sound = table.flag == ""
 print(f"{len(table)} frames, {sound.sum()} sound")
 print(f"largest angle {table.angle_deg[sound].max():.1f} degrees")
-print(f"median standard deviation {np.median(table.angle_sd_deg[sound]):.2f} degrees")
+print(
+    f"median standard deviation {np.median(table.angle_sd_deg[sound]):.2f} degrees"
+)
 pd.Series(table.flag).replace("", "(sound)").value_counts()
 
 # %%
@@ -72,12 +84,34 @@ pd.Series(table.flag).replace("", "(sound)").value_counts()
 # -------
 
 figure, axes = plt.subplots(figsize=(7, 3.8))
-low, high = table.angle_deg - 2 * table.angle_sd_deg, table.angle_deg + 2 * table.angle_sd_deg
-axes.fill_between(table.time_s, low, high, alpha=0.25, color="#0072B2", linewidth=0, label="± 2 sd")
-axes.plot(
-    table.time_s, np.where(sound, table.angle_deg, np.nan), color="#0072B2", lw=1.2, label="bending angle"
+low, high = (
+    table.angle_deg - 2 * table.angle_sd_deg,
+    table.angle_deg + 2 * table.angle_sd_deg,
 )
-axes.plot(table.time_s[~sound], table.angle_deg[~sound], "o", ms=3.5, color="#E69F00", label="low_likelihood")
+axes.fill_between(
+    table.time_s,
+    low,
+    high,
+    alpha=0.25,
+    color="#0072B2",
+    linewidth=0,
+    label="± 2 sd",
+)
+axes.plot(
+    table.time_s,
+    np.where(sound, table.angle_deg, np.nan),
+    color="#0072B2",
+    lw=1.2,
+    label="bending angle",
+)
+axes.plot(
+    table.time_s[~sound],
+    table.angle_deg[~sound],
+    "o",
+    ms=3.5,
+    color="#E69F00",
+    label="low_likelihood",
+)
 axes.set(xlabel="time (s)", ylabel="bending angle (deg)")
 axes.legend(loc="upper right")
 figure.tight_layout()

@@ -41,7 +41,9 @@ print(sorted(path.name for path in folder.iterdir()))
 # The exact points of every frame are part of the trial.
 
 wanted = np.linspace(0, int(np.argmax(trial.angle_deg)), 4).astype(int)
-images = {i: frame.image for i, frame in enumerate(Video(trial.video_path)) if i in wanted}
+images = {
+    i: frame.image for i, frame in enumerate(Video(trial.video_path)) if i in wanted
+}
 figure, panels = plt.subplots(1, 4, figsize=(10, 2.4))
 for axes, index in zip(panels, wanted, strict=True):
     axes.imshow(images[index])
@@ -60,5 +62,9 @@ left.plot(trial.time_s, trial.pressure_kpa, color="#D55E00", label="pressure (kP
 left.set(xlabel="time (s)")
 left.legend()
 right.plot(trial.pressure_kpa, trial.angle_deg, color="#0072B2")
-right.set(xlabel="pressure (kPa)", ylabel="angle (deg)", title=f"hysteresis ratio {trial.hysteresis_ratio}")
+right.set(
+    xlabel="pressure (kPa)",
+    ylabel="angle (deg)",
+    title=f"hysteresis ratio {trial.hysteresis_ratio}",
+)
 figure.tight_layout()
