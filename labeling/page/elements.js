@@ -1,6 +1,6 @@
-// Making elements and icons. What they are for is in the modules that use them.
+// Creating elements and icons. Their use is in the modules that import them.
 
-/** A new element; attributes whose name begins with "on" are listeners, true and false switch an attribute. */
+/** A new element; attributes whose name begins with "on" are listeners, true and false set and omit an attribute. */
 export function element(tag, attributes = {}, ...children) {
   const node = document.createElement(tag);
   for (const [name, value] of Object.entries(attributes)) {
@@ -12,7 +12,7 @@ export function element(tag, attributes = {}, ...children) {
   return node;
 }
 
-/** One of the symbols of index.html, as an <svg>; it says nothing to a screen reader. */
+/** One of the symbols of index.html, as an <svg> that is hidden from screen readers. */
 export function icon(name, className = "icon") {
   const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
   svg.setAttribute("class", className);
