@@ -11,8 +11,9 @@ import h5py
 
 from .atomic import atomic_write_text
 from .errors import ResultsError
+from .hashing import file_sha256
 from .results import FORMAT, json_ready, read_record
-from .video import file_sha256, video_stem
+from .video import video_stem
 
 
 def is_up_to_date(

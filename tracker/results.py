@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from .angle import AngleDefinition
 from .atomic import atomic_path, atomic_write_bytes, atomic_write_text
 from .errors import AngleError, ResultsError, reason
+from .hashing import file_sha256
 from .types import FloatArray
-from .video import file_sha256
 
 # Raised when the files' layout changes, so that older results count as out of date.
 FORMAT = 1

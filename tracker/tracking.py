@@ -18,11 +18,12 @@ from typing import Any
 import numpy as np
 
 from .angle import AngleDefinition
+from .hashing import file_sha256
 from .measuring import MIN_LIKELIHOOD, check_points, measure
 from .read_ahead import read_ahead, side_by_side
 from .results import AngleTable, json_ready
 from .types import Detections, Detector, Flag, FloatArray, Frames, ImageArray, VideoDetector
-from .video import Video, file_sha256
+from .video import Video
 
 # Batches decoded ahead, beside those being used and one in the making.
 _BATCHES_AHEAD = 1

@@ -6,7 +6,6 @@ video in `video_writer.py`.
 
 from __future__ import annotations
 
-import hashlib
 import threading
 from collections.abc import Generator
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ from av.video.reformatter import VideoReformatter
 from .container import Orientation, claimed_duration_s, claimed_frames, first_picture, open_video, orientation
 from .decoding import Decoding, Row
 from .errors import VideoError
+from .hashing import file_sha256 as file_sha256  # until models/ and labeling/ name its own file
 from .types import FloatArray, ImageArray
 
 # A pause so many times the usual frame interval is worth a word: lost frames look like this.
@@ -256,9 +256,3 @@ def video_stem(path: str | Path) -> str:
     'original 0.25Hz'
     """
     return Path(path).stem
-
-
-def file_sha256(path: str | Path) -> str:
-    """SHA-256 of a file as hexadecimal digits; the file is read in pieces."""
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -48,5 +48,5 @@ app.add_typer(labels, name="labels")
 def main() -> None:
     """Entry point of the installed command `bendtrack`."""
     if not sys.warnoptions and "--debug" not in sys.argv:
-        warnings.simplefilter("ignore")  # libraries' words to programmers; ours come through `talk`
+        warnings.simplefilter("ignore")  # libraries' words to programmers; ours come through `console`
     app()

@@ -14,7 +14,7 @@ import typer
 from typer.core import TyperGroup
 
 from ..errors import BendtrackError
-from . import talk
+from . import console
 
 INTERRUPTED = 130
 _ANYWHERE = ("--quiet", "--debug")
@@ -36,12 +36,12 @@ class _Group(TyperGroup):
         except BrokenPipeError:
             raise
         except KeyboardInterrupt:
-            talk.complain("interrupted; what was finished is kept, nothing was left half-written")
+            console.complain("interrupted; what was finished is kept, nothing was left half-written")
             raise typer.Exit(INTERRUPTED) from None
         except (BendtrackError, OSError) as error:
-            if talk.debugging():
+            if console.debugging():
                 traceback.print_exception(error)
-            talk.complain(_one_line(error))
+            console.complain(_one_line(error))
             raise typer.Exit(getattr(error, "exit_status", BendtrackError.exit_status)) from None
 
 
@@ -77,7 +77,7 @@ def _bendtrack(
     Label about thirty frames, train a network on them, track videos: angle over time, with its uncertainty.
     `bendtrack demo` shows the whole job in a few minutes.
     """
-    talk.configure(quiet=quiet, debug=debug)
+    console.configure(quiet=quiet, debug=debug)
     for stream in (sys.stdout, sys.stderr):
         # A file name or a sign that the terminal's encoding lacks must not end a run.
         if hasattr(stream, "reconfigure"):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import BendtrackError
-from . import model_folders, talk
+from . import console, model_folders
 
 if TYPE_CHECKING:
     from ..results import AngleTable
@@ -42,39 +42,39 @@ def demo(
     begun = time.monotonic()
     trial = out / "trial"
     video = trial / "video.mp4"
-    talk.say("1. A project with the labels of 30 frames")
+    console.say("1. A project with the labels of 30 frames")
     project = project_for(out, sample_folder() / "labels.csv")
     _copy_sample(trial)
     print_report(import_dlc(trial / "labels.csv", project, videos=[video]))
 
-    talk.say("\n2. A network, trained on them")
+    console.say("\n2. A network, trained on them")
     networks, stopped = model_folders.finished(project), model_folders.unfinished(project)
     if networks:
         network = networks[-1]
-        talk.say(f"'{network.name}' is trained already")
+        console.say(f"'{network.name}' is trained already")
     else:
         network = stopped[-1] if stopped else model_folders.new_folder(project, None, False)
         train_network(
             project, network, project_settings(project, {"max_minutes": _MAX_MINUTES}), resume=bool(stopped)
         )
 
-    talk.say("\n3. The angle in every frame of the video")
+    console.say("\n3. The angle in every frame of the video")
     detector = load_network(network)
     problems = track_videos(detector, detector.header.definition, [video], project.results_dir, overlay=True)
     if problems:
         raise BendtrackError(f"{video}: {problems[video]}")
 
     table = read_results(project.results_dir / "video.h5")
-    talk.say(f"\n4. Beside the truth ({time.monotonic() - begun:.0f} s in all)")
+    console.say(f"\n4. Beside the truth ({time.monotonic() - begun:.0f} s in all)")
     _compare(table, trial / "truth.csv", network)
     results = project.results_dir
-    talk.show(
+    console.show(
         f"table    {results / 'video.csv'} (and .h5, .json)\n"
         f"figure   {results / 'video.png'}\n"
         f"overlay  {results / 'video.mp4'}\n"
         f"network  {network} (its errors: errors.png, worst-frames.png)"
     )
-    talk.say(
+    console.say(
         "\nYour own videos:\n"
         "    bendtrack new my-study\n"
         "    bendtrack frames my-study VIDEO...\n"
@@ -134,7 +134,7 @@ def _compare(table: AngleTable, truth_path: Path, network: Path) -> None:
         end_vector_px(exact, table.keypoints, table.definition),
     )
     angle = truth["angle_deg"]
-    talk.show(
+    console.show(
         f"angle    {angle.min():.0f} to {angle.max():.0f}° in {len(table)} frames; RMS error {rms:.2f}°,"
         f" {int((~known).sum())} frames without an angle\n"
         f"         (label-noise floor {floor:.2f}°: the labels are {_LABEL_NOISE_PX:g} px off,"

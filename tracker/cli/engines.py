@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import BendtrackError
-from . import talk
+from . import console
 
 if TYPE_CHECKING:
     from ...models.detector import NetworkDetector
@@ -60,7 +60,7 @@ def measured_angle(project: Project, network: NetworkDetector) -> AngleDefinitio
     angle = project.settings.angle_definition(definition.sign)
     signs = {"auto": definition.sign, "+": 1, "-": -1}
     if angle != definition or signs[project.settings.angle.sign] != definition.sign:
-        talk.warn(
+        console.warn(
             f"bendtrack.toml names another angle than '{network.name}' was trained for, which is measured"
             f" ({definition.name}, {', '.join(definition.points)}, sign {definition.sign:+d});"
             " train again for the new one"
@@ -72,12 +72,12 @@ def _compile(folder: Path) -> None:
     """Build the fast engines of a network beside it, and say what they change."""
     from ...models.engine import build_beside
 
-    talk.say(f"Compiling '{folder.name}' for the CPU (once)")
+    console.say(f"Compiling '{folder.name}' for the CPU (once)")
     try:
         record = build_beside(folder)
     except (BendtrackError, OSError) as error:
-        talk.warn(f"'{folder.name}' could not be compiled and will be slower: {error}")
+        console.warn(f"'{folder.name}' could not be compiled and will be slower: {error}")
         return
     for name, tried in record["engines"].items():
         said = f"{name}: {tried['drift_px']:.3f} px and {tried['drift_deg']:.3f}° from float32"
-        talk.say(said if tried["passed"] else f"{said}: refused")
+        console.say(said if tried["passed"] else f"{said}: refused")

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from . import talk
+from . import console
 from .project_commands import ProjectArgument
 from .tracking_runs import VideosArgument, listed_videos
 
@@ -60,16 +60,16 @@ def frames(
         counting=progress_bars.counting,
     )
     for warning in report.warnings:
-        talk.warn(warning)
+        console.warn(warning)
     for video, pictures in report.saved.items():
-        talk.say(f"{video}: {len(pictures)} pictures -> {pictures[0].parent}")
+        console.say(f"{video}: {len(pictures)} pictures -> {pictures[0].parent}")
     for name, (new, in_all) in report.actuators.items():
-        talk.say(f"{name}: {new} new pictures to label, {in_all} in all")
+        console.say(f"{name}: {new} new pictures to label, {in_all} in all")
     for video, problem in report.failed.items():
-        talk.complain(f"{video}: {problem}")
+        console.complain(f"{video}: {problem}")
     if report.failed:
         raise typer.Exit(1 if report.saved else 2)
-    talk.say(f"Next: bendtrack label {project}")
+    console.say(f"Next: bendtrack label {project}")
 
 
 labels = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Look for mistakes in labels.")
@@ -93,10 +93,12 @@ def check(project: ProjectArgument) -> None:
 
     report = check_labels(Project.open(project))
     for note in report.notes:
-        talk.warn(note)
+        console.warn(note)
     for finding in report.findings:
-        talk.show(f"{finding.image_path}: {finding.problem}: {finding.message}  {finding.link}")
+        console.show(f"{finding.image_path}: {finding.problem}: {finding.message}  {finding.link}")
     count = len(report.findings)
-    talk.say(f"{report.labelled} labelled frames: {f'{count} to look at' if count else 'nothing to look at'}")
+    console.say(
+        f"{report.labelled} labelled frames: {f'{count} to look at' if count else 'nothing to look at'}"
+    )
     if count:
         raise typer.Exit(1)

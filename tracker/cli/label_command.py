@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import BendtrackError, CheckpointError
-from . import model_folders, talk
+from . import console, model_folders
 from .project_commands import ProjectArgument
 
 if TYPE_CHECKING:
@@ -49,14 +49,14 @@ def label(
     def ready(new_address: Callable[[], str]) -> None:
         if not no_browser:
             _open_browser(new_address())
-        talk.show(f"Labelling {opened.root} at {new_address()}")
-        talk.say("The address opens the page once. Everything is saved at once; Ctrl+C ends the server.")
+        console.show(f"Labelling {opened.root} at {new_address()}")
+        console.say("The address opens the page once. Everything is saved at once; Ctrl+C ends the server.")
 
     more = {} if repeats is None else {"repeat_share": repeats}
     try:
         serve_labelling(opened, port=port, network=_network(opened, model), ready=ready, **more)
     except KeyboardInterrupt:
-        talk.say("Ended; all labels are saved.")  # the usual end, so status 0
+        console.say("Ended; all labels are saved.")  # the usual end, so status 0
 
 
 def _open_browser(address: str) -> None:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import BendtrackError, ResultsError
-from . import model_folders, talk
+from . import console, model_folders
 from .engines import DeviceOption, EngineOption, ModelOption, load_network, measured_angle
 from .project_commands import ProjectArgument
 from .render_command import size_wh
@@ -77,7 +77,7 @@ def live(
     Prints a line with the bending angle as soon as it is known; words for people go to stderr. The newest frame is
     measured, older ones are passed over, so it never falls behind. A file is played in real time. Ends with Ctrl-C.
     """
-    talk.leave_stdout_to_programs()
+    console.leave_stdout_to_programs()
     from ..live.newest_first import measure_live
     from ..live.output import UdpTarget
     from ..live.sources import open_source
@@ -95,9 +95,9 @@ def live(
         options["min_likelihood"] = opened.settings.tracking.min_likelihood
     filmed = open_source(source, mode)  # last, for a camera that runs and is not read falls behind
     if rate is not None and filmed.rate is not None and abs(filmed.rate - rate) > 0.01 * rate:
-        talk.warn(f"{filmed.name} delivers {filmed.rate:g} frames/s, not {rate:g}")
-    talk.say(f"Network: {network.name} ({network.header.backbone}, {network.engine} on {network.device})")
-    talk.say(f"Source: {filmed.name}, {filmed.size_wh[0]} x {filmed.size_wh[1]} px; Ctrl-C ends it")
+        console.warn(f"{filmed.name} delivers {filmed.rate:g} frames/s, not {rate:g}")
+    console.say(f"Network: {network.name} ({network.header.backbone}, {network.engine} on {network.device})")
+    console.say(f"Source: {filmed.name}, {filmed.size_wh[0]} x {filmed.size_wh[1]} px; Ctrl-C ends it")
 
     kept = None if out is None else _Kept(opened.results_dir, out, filmed, network, definition, options)
     tally = _Tally()
@@ -110,9 +110,9 @@ def live(
                     if kept is not None:
                         kept.recording.add(value)
     finally:
-        talk.say(tally.line())
+        console.say(tally.line())
         for warning in filmed.warnings:
-            talk.warn(f"{filmed.name}: {warning}")
+            console.warn(f"{filmed.name}: {warning}")
         if kept is not None and tally.latency_ms:
             kept.write()
 
@@ -199,7 +199,7 @@ class _Kept:
         figure_path = csv_path.with_suffix(".png")
         write_angle_figure(table, figure_path)
         record_file(self._folder, self._stem, figure_path)
-        talk.say(f"{len(table)} frames -> {csv_path}")
+        console.say(f"{len(table)} frames -> {csv_path}")
 
 
 @contextmanager

@@ -12,7 +12,7 @@ import typer
 
 from ..atomic import atomic_write_text, remove_leftovers
 from ..errors import BendtrackError, CheckpointError, LabelError, TrainingError
-from . import model_folders, talk
+from . import console, model_folders
 from .project_commands import ProjectArgument
 
 if TYPE_CHECKING:
@@ -71,9 +71,9 @@ def train(
         settings = project_settings(opened, given)
         for stopped in model_folders.unfinished(opened):
             if name is None:
-                talk.warn(f"'{stopped.name}' is a training that was stopped; --resume goes on with it")
+                console.warn(f"'{stopped.name}' is a training that was stopped; --resume goes on with it")
     train_network(opened, folder, settings, resume=resume)
-    talk.say(f"Next: bendtrack track {project} VIDEO...")
+    console.say(f"Next: bendtrack track {project} VIDEO...")
 
 
 def evaluate(
@@ -104,7 +104,7 @@ def evaluate(
                 f"expected labelled frames that '{folder.name}' was not trained on, got none:"
                 " label more, train with --held-out 0.1, or use --folds 5"
             )
-        talk.say(f"'{folder.name}' on {len(frames)} frames that it was not trained on")
+        console.say(f"'{folder.name}' on {len(frames)} frames that it was not trained on")
         spread = _labeller_spread(opened)
         evaluation = judge(folder, checkpoint, frames, **spread)
         show_evaluation(evaluation)
@@ -130,10 +130,10 @@ def evaluate(
         settings=settings.to_dict(),
         **spread,
     )
-    talk.say(f"{folds} networks, each judged on the frames that it was not trained on")
+    console.say(f"{folds} networks, each judged on the frames that it was not trained on")
     show_evaluation(evaluation)
     _show_labeller_spread(evaluation, **spread)
-    talk.say(f"Figures: {folder}")
+    console.say(f"Figures: {folder}")
 
 
 def project_settings(project: Project, given: dict[str, Any]) -> TrainingSettings:
@@ -163,7 +163,9 @@ def train_network(
 
     frames = _labels(project, project.keypoints)
     definition = _definition(project, frames)
-    talk.say(f"{'Going on with' if resume else 'Training'} '{folder.name}' on {len(frames)} labelled frames")
+    console.say(
+        f"{'Going on with' if resume else 'Training'} '{folder.name}' on {len(frames)} labelled frames"
+    )
     _say_start(settings)
     folder.mkdir(parents=True, exist_ok=True)
     state, stored = folder / STATE_FILE, folder / model_folders.SETTINGS_FILE
@@ -184,29 +186,31 @@ def train_network(
             )
     except BaseException:
         if state.is_file():
-            talk.say(f"Not finished: `bendtrack train {project.root} --resume` goes on with '{folder.name}'")
+            console.say(
+                f"Not finished: `bendtrack train {project.root} --resume` goes on with '{folder.name}'"
+            )
         else:  # nothing was learnt, so nothing is left
             stored.unlink(missing_ok=True)
             with suppress(OSError):
                 folder.rmdir()
         raise
     facts = checkpoint.training
-    talk.say(
+    console.say(
         f"'{folder.name}': {facts['steps']} steps in {facts['minutes']:.1f} min, from {facts['started_from']} weights"
     )
     renamed = [f"{own} as {known}" for own, known in facts["known_before"].items() if own != known]
     if renamed:
-        talk.say(f"They knew {', '.join(renamed)}")
+        console.say(f"They knew {', '.join(renamed)}")
     held_out = not_trained_on(checkpoint, frames)
     if not held_out:
-        talk.say(
+        console.say(
             "No frames were held out, so its error is not known; `bendtrack evaluate --folds 5` tells it"
         )
         return None
     evaluation = judge(folder, checkpoint, held_out)
-    talk.say(f"On the {len(held_out)} frames that were held out:")
+    console.say(f"On the {len(held_out)} frames that were held out:")
     show_evaluation(evaluation)
-    talk.say(f"Network and figures: {folder}")
+    console.say(f"Network and figures: {folder}")
     return evaluation
 
 
@@ -250,16 +254,16 @@ def show_evaluation(evaluation: Evaluation) -> None:
         for actuator, figures in summary["per_actuator"].items():
             row(f"{actuator}: keypoints", figures["error_px"], "px")
             row(f"{actuator}: angle", figures["angle_error_deg"], "°")
-    talk.show(table)
+    console.show(table)
     length, floor = summary["end_vector_px"], summary["floor_for_1px_labels_deg"]
     if length is None or floor is None:
         return
-    talk.show(
+    console.show(
         f"The points of an end are L = {length:.0f} px apart: with {summary['n_trained']} labels of 1 px error"
         f" the angle can be known to {floor:.2f}° (label-noise floor)."
     )
     if length < _SHORT_END_PX:
-        talk.show(
+        console.show(
             "Advice: L is short. Label points that lie farther apart on each end, or bring the camera nearer:"
             " twice the length halves the error of the angle."
         )
@@ -284,7 +288,7 @@ def _show_labeller_spread(evaluation: Evaluation, labeller_spread: dict[str, Any
     if found["deg"] is not None and summary["angle_error_deg"]["rms"] is not None:
         own.append(f"{found['deg']:.2f}° [{found['deg_low']:.2f}, {found['deg_high']:.2f}]")
         network.append(f"{summary['angle_error_deg']['rms']:.2f}°")
-    talk.show(
+    console.show(
         f"The labeller's own spread, from {found['n_points']} points in {found['n_frames']} frames that were"
         f" labelled twice: {', '.join(own)} a coordinate and angle; the network's error in the same measure (RMS):"
         f" {', '.join(network)}. No network can be seen to be better than the labels that it is judged by."
@@ -341,7 +345,7 @@ def _say_start(settings: TrainingSettings) -> None:
     words = f"Start: {settings.backbone} with {start} weights"
     if settings.init == "auto" and start == "random":
         words += ", as no others are on this machine (--init imagenet downloads some)"
-    talk.say(words)
+    console.say(words)
 
 
 def _stored_settings(folder: Path, given: dict[str, Any]) -> TrainingSettings:

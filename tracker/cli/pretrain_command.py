@@ -9,7 +9,7 @@ import typer
 
 from ..atomic import remove_leftovers
 from ..errors import TrainingError
-from . import talk
+from . import console
 
 
 def pretrain(
@@ -79,7 +79,9 @@ def pretrain(
     given = {name: number for name, number in asked.items() if number is not None}
     settings = usual_settings(backbone=backbone, seed=seed, init=init, **given)
     remove_leftovers(out)
-    talk.say(f"{'Going on' if resume else 'Beginning'} in {out}: {settings.steps} steps in all, {backbone}")
+    console.say(
+        f"{'Going on' if resume else 'Beginning'} in {out}: {settings.steps} steps in all, {backbone}"
+    )
     with progress_bars.training(out.name) as progress:
         stop_after_s, max_s = (
             None if minutes is None else 60 * minutes for minutes in (stop_after, max_minutes)
@@ -95,9 +97,9 @@ def pretrain(
         )
     facts = checkpoint.training
     judged = facts["judged"]
-    talk.say(
+    console.say(
         f"{facts['steps']} of {facts['steps_planned']} steps, {facts['pictures']} pictures, {facts['minutes']:.0f} min."
         f" New pictures: {100 * judged['located_share']:.1f} % of the keypoints in sight are located within 5 % of the"
         f" body's length (median {100 * judged['located_median']:.1f} %); refined to {judged['refined_px']:.2f} px"
     )
-    talk.say(f"Network: {out / WEIGHTS_FILE}; figure: {out / 'learning-curve.png'}")
+    console.say(f"Network: {out / WEIGHTS_FILE}; figure: {out / 'learning-curve.png'}")

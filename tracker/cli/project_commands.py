@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from . import talk
+from . import console
 
 if TYPE_CHECKING:
     from ...labeling.interop.importing import ImportReport
@@ -41,7 +41,7 @@ def new(
 
     names = [name.strip() for name in keypoints.split(",")]
     made = Project.create(project, keypoints=names, angle=angle)
-    talk.say(
+    console.say(
         f"{made.root}: a new project of {', '.join(made.keypoints)} ({made.settings.angle.definition}).\n"
         f"Labels of DeepLabCut, COCO, SLEAP and Lightning Pose come in with `bendtrack import {made.root} SOURCE`."
     )
@@ -86,16 +86,16 @@ def import_labels(
         raise LabelError(f"{source}: expected labelled frames, got none that could be taken over")
     if report.skipped:
         raise typer.Exit(1)
-    talk.say(f"Next: bendtrack train {project}")
+    console.say(f"Next: bendtrack train {project}")
 
 
 def print_report(report: ImportReport) -> None:
     """What an import did; what it left out comes last."""
     for warning in report.warnings:
-        talk.warn(warning)
-    talk.say(report.summary())
+        console.warn(warning)
+    console.say(report.summary())
     for reason in report.skipped:
-        talk.warn(f"left out: {reason}")
+        console.warn(f"left out: {reason}")
 
 
 def export_labels(
@@ -119,5 +119,5 @@ def export_labels(
 
     report = formats.export_labels(Project.open(project), out, format, videos=video or ())
     for warning in report.warnings:
-        talk.warn(warning)
-    talk.say(f"{out}: {report.labelled} labelled frames and {report.images} pictures")
+        console.warn(warning)
+    console.say(f"{out}: {report.labelled} labelled frames and {report.images} pictures")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import BendtrackError, StudyError
-from . import talk
+from . import console
 
 if TYPE_CHECKING:
     from ..study.study_file import Study
@@ -64,7 +64,7 @@ def _write_first(folder: Path) -> None:
     text = first_study_file(folder)
     atomic_write_text(path, text)
     n_trials = len(read_study(path).trials)
-    talk.say(
+    console.say(
         f"{path}: {n_trials} trial{'s' if n_trials > 1 else ''}. Look it over, then: bendtrack analyze {path}"
     )
 
@@ -81,21 +81,21 @@ def _analyse(path: Path, out: Path | None) -> None:
     if trials:
         baseline = study.baseline
         if baseline not in (None, *(trial.design for trial in trials)):
-            talk.warn(f"no trial of the baseline '{baseline}' could be read: nothing is compared with it")
+            console.warn(f"no trial of the baseline '{baseline}' could be read: nothing is compared with it")
             baseline = None
         results = analyse_study(trials, baseline=baseline, angles_deg=study.compare_angles_deg or None)
         warnings = results.warnings
         for trial, warning in list(zip(warnings["trial"], warnings["warning"], strict=True))[:_MAX_WARNINGS]:
-            talk.warn(f"{trial}: {warning}")
+            console.warn(f"{trial}: {warning}")
         if len(warnings) > _MAX_WARNINGS:
-            talk.warn(f"{len(warnings) - _MAX_WARNINGS} more, in the report")
+            console.warn(f"{len(warnings) - _MAX_WARNINGS} more, in the report")
         report = write_report(results, trials, study, folder, workers=(os.cpu_count() or 1) - 1)
-        talk.say(f"{len(trials)} of {len(study.trials)} trials analysed -> {report}")
+        console.say(f"{len(trials)} of {len(study.trials)} trials analysed -> {report}")
     if problems:
         others = "the others are done" if trials else "so nothing was analysed"
-        talk.complain(f"{len(problems)} of {len(study.trials)} trials failed, {others}:")
+        console.complain(f"{len(problems)} of {len(study.trials)} trials failed, {others}:")
         for name, problem in problems.items():
-            talk.complain(f"{name}: {problem}")
+            console.complain(f"{name}: {problem}")
         raise typer.Exit(1 if trials else BendtrackError.exit_status)
 
 

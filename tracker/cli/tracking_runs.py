@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import BendtrackError, VideoError, reason
-from . import talk
+from . import console
 
 if TYPE_CHECKING:
     from ...models.detector import NetworkDetector
@@ -118,7 +118,9 @@ def track_videos(
     -------
     The videos that failed or are damaged, and why. A damaged one is tracked as far as it goes.
     """
-    talk.say(f"Network: {detector.name} ({detector.header.backbone}, {detector.engine} on {detector.device})")
+    console.say(
+        f"Network: {detector.name} ({detector.header.backbone}, {detector.engine} on {detector.device})"
+    )
     problems: dict[Path, str] = {}
     options = {} if min_likelihood is None else {"min_likelihood": min_likelihood}
     with ThreadPoolExecutor(max_workers=1) as drawing:
@@ -127,7 +129,7 @@ def track_videos(
             try:
                 damage = _track_one(job, video, overlay, force)
             except VideoError as error:
-                talk.say(f"{video}: failed")
+                console.say(f"{video}: failed")
                 problems[video] = str(error).removeprefix(f"{video}: ")
             else:
                 if damage:
@@ -141,9 +143,11 @@ def list_problems(problems: dict[Path, str], videos: list[Path]) -> None:
     if not problems:
         return
     if len(videos) > 1:
-        talk.complain(f"{len(problems)} of {len(videos)} videos failed or are damaged, the others are done:")
+        console.complain(
+            f"{len(problems)} of {len(videos)} videos failed or are damaged, the others are done:"
+        )
     for path, problem in problems.items():
-        talk.complain(f"{path}: {problem}")
+        console.complain(f"{path}: {problem}")
     raise typer.Exit(1)
 
 
@@ -167,7 +171,7 @@ def _track_one(job: _Job, video: Path, overlay: bool, force: bool) -> str | None
         ) from error
     stem, note = choose_stem(job.folder, video, sha256)
     if note:
-        talk.warn(note)
+        console.warn(note)
     figure_path = _beside(job.folder, stem, ".png", "angle", video)
     overlay_path = _beside(job.folder, stem, ".mp4", _OVERLAY, video)
     for name in {stem, figure_path.stem, overlay_path.stem}:
@@ -177,7 +181,7 @@ def _track_one(job: _Job, video: Path, overlay: bool, force: bool) -> str | None
     table: AngleTable
     if fresh:
         table = read_results(job.folder / f"{stem}.h5")
-        talk.say(f"{video}: up to date")
+        console.say(f"{video}: up to date")
     else:
         detector, definition = job.detector, job.definition
         if definition is None:
@@ -201,13 +205,13 @@ def _track_one(job: _Job, video: Path, overlay: bool, force: bool) -> str | None
         rate = len(table) / (time.monotonic() - begun)
         csv_path, _, _ = write_results(table, job.folder, stem)
         flagged = int((table.flag != "").sum())
-        talk.say(f"{video}: {len(table)} frames, {flagged} flagged, {rate:.0f} frames/s -> {csv_path}")
+        console.say(f"{video}: {len(table)} frames, {flagged} flagged, {rate:.0f} frames/s -> {csv_path}")
     warnings, complete = table.provenance["warnings"], table.provenance["video"]["complete"]
     for warning in warnings if complete else ():
-        talk.warn(f"{video}: {warning}")
+        console.warn(f"{video}: {warning}")
     sound = float((table.flag == "").mean())
     if job.definition is None and sound < LEAST_SOUND:
-        talk.warn(
+        console.warn(
             f"{video}: expected the actuator in most frames, got it without a flag in {100 * sound:.0f} %, and those"
             " may be wrong too; look at --overlay, or label some frames: `bendtrack new`"
         )
@@ -219,7 +223,7 @@ def _track_one(job: _Job, video: Path, overlay: bool, force: bool) -> str | None
             write_overlay(video, table, overlay_path, progress)
         job.wait_for_figure()  # both are entered into the same JSON
         record_file(job.folder, stem, overlay_path)
-        talk.say(f"{video}: overlay -> {overlay_path}")
+        console.say(f"{video}: overlay -> {overlay_path}")
     return None if complete else f"damaged, tracked as far as it goes: {'; '.join(warnings)}"
 
 

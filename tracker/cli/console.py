@@ -11,39 +11,39 @@ from typing import Any
 
 
 @dataclass
-class _Manner:
+class _Settings:
     quiet: bool = False
     debug: bool = False
     stdout_is_for_programs: bool = False
 
 
-_manner = _Manner()
+_settings = _Settings()
 
 
 def configure(*, quiet: bool, debug: bool) -> None:
     """Set for this run of the program what --quiet and --debug ask for."""
-    _manner.quiet, _manner.debug, _manner.stdout_is_for_programs = quiet, debug, False
+    _settings.quiet, _settings.debug, _settings.stdout_is_for_programs = quiet, debug, False
 
 
 def leave_stdout_to_programs() -> None:
     """From here on `say` speaks on stderr."""
-    _manner.stdout_is_for_programs = True
+    _settings.stdout_is_for_programs = True
 
 
 def debugging() -> bool:
     """Whether --debug was given."""
-    return _manner.debug
+    return _settings.debug
 
 
 def shows_progress() -> bool:
     """Whether someone is there to watch: stderr is a terminal and --quiet was not given."""
-    return not _manner.quiet and sys.stderr.isatty()
+    return not _settings.quiet and sys.stderr.isatty()
 
 
 def say(text: str = "") -> None:
     """What goes on and where things are; silent with --quiet."""
-    if not _manner.quiet:
-        print(text, file=sys.stderr if _manner.stdout_is_for_programs else sys.stdout, flush=True)
+    if not _settings.quiet:
+        print(text, file=sys.stderr if _settings.stdout_is_for_programs else sys.stdout, flush=True)
 
 
 def show(result: Any) -> None:
