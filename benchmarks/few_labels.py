@@ -31,9 +31,9 @@ from bendtrack.models.learning.inheritance import ENDS, parent_of
 from bendtrack.models.learning.settings import TrainingSettings
 from bendtrack.models.learning.training import train
 from bendtrack.models.shipped import working_copy
+from bendtrack.networks import load_network
 from bendtrack.tracker.angle import AngleDefinition, end_vector_px, label_noise_floor_deg
-from bendtrack.tracker.cli.engines import load_network
-from bendtrack.tracker.cli.tracking_runs import GLIMPSES
+from bendtrack.tracker.batch import PROBE_FRAMES
 from bendtrack.tracker.errors import VideoError
 from bendtrack.tracker.synthetic.stream import (
     HELD_OUT,
@@ -151,7 +151,7 @@ def judged(
 def judged_unlabelled(film: Film, network: Path) -> Result:
     """Find the actuator in a film, track it and compare with its truth."""
     try:
-        detector = load_network(network, learns=True).for_video(spread_frames(film.path, GLIMPSES))
+        detector = load_network(network, learns=True).for_video(spread_frames(film.path, PROBE_FRAMES))
     except VideoError as error:
         print(f"    {error}")
         return NOTHING

@@ -118,7 +118,29 @@ def record_file(out_dir: str | Path, stem: str, path: Path) -> None:
 def is_recorded(out_dir: str | Path, stem: str, path: Path) -> bool:
     """Whether a picture or an overlay was made from the table as it is now (see `record_file`)."""
     try:
-        files = read_record(Path(out_dir) / f"{stem}.json").get("files", {})
-        return bool(files.get(path.suffix[1:]) == file_sha256(path))
+        recorded = read_record(Path(out_dir) / f"{stem}.json").get("files", {}).get(path.suffix[1:])
+        return recorded is not None and bool(recorded == file_sha256(path))
     except (ResultsError, OSError):
         return False
+
+
+def overlay_of_record(out_dir: str | Path, stem: str) -> Path | None:
+    """Find the overlay video that was made from a table as it is now.
+
+    Until version 0.1 it had the video's own name, `<stem>.mp4`.
+
+    Parameters
+    ----------
+    out_dir : str or Path
+        The folder of the results.
+    stem : str
+        Name of the table's files, without suffix.
+
+    Returns
+    -------
+    Path or None
+        The overlay; None where there is none, or one of another table.
+    """
+    folder = Path(out_dir)
+    named = (folder / f"{stem}.overlay.mp4", folder / f"{stem}.mp4")
+    return next((path for path in named if path.exists() and is_recorded(folder, stem, path)), None)

@@ -1,4 +1,4 @@
-"""The command line. The only place that knows tracker, models and labeling; each is imported inside its command.
+"""The command line: a shell over the front door (`bendtrack/`), which is imported inside each command.
 
 A command takes its arguments apart and calls plain functions; what they report is printed here and nowhere else.
 """
@@ -23,7 +23,7 @@ from .track_command import track
 
 __all__ = ["main"]
 
-_COMMANDS: dict[str, Callable[..., None]] = {  # in the order of --help
+_COMMANDS: dict[str, Callable[..., None]] = {
     "demo": demo,
     "new": new,
     "frames": frames,

@@ -29,7 +29,7 @@ _BACKBONES_SHOWN = ("resnet18", "resnet34", "resnet50")
 
 
 def doctor() -> None:
-    """Say what is installed and what would be used."""
+    """Check the installation: packages, devices, codecs, networks."""
     import torch
 
     from ...models.checkpoint import best_device

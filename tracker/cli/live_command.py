@@ -6,7 +6,6 @@ import gc
 import os
 import signal
 import sys
-import threading
 import time
 from array import array
 from collections.abc import Generator, Iterator
@@ -18,9 +17,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import BendtrackError, ResultsError
-from . import console, model_folders
-from .engines import DeviceOption, EngineOption, ModelOption, load_network, measured_angle
-from .project_commands import ProjectArgument
+from . import console
+from .arguments import DeviceOption, EngineOption, ModelOption, ProjectArgument, opened
 from .render_command import size_wh
 
 if TYPE_CHECKING:
@@ -44,65 +42,112 @@ def live(
     source: Annotated[
         str | None,
         typer.Argument(
-            help="A camera's number or name, a video file, or an RTSP or HTTP URL.",
+            help="Number or name of a camera, a video file, or an RTSP or HTTP URL.",
             metavar="[SOURCE]",
             show_default="the first camera",
         ),
     ] = None,
     udp: Annotated[
         str | None,
-        typer.Option(help="HOST:PORT that also gets each value, a datagram each.", metavar="ADDRESS"),
+        typer.Option(
+            help="Also send each value to this address, one UDP datagram each.",
+            metavar="HOST:PORT",
+            show_default="no datagrams",
+        ),
     ] = None,
-    format: Annotated[LineFormat, typer.Option(help="Of the values.")] = LineFormat.CSV,
+    format: Annotated[
+        LineFormat, typer.Option(help="Format of the values: csv or jsonl.", metavar="FORMAT")
+    ] = LineFormat.CSV,
     duration: Annotated[
-        float | None, typer.Option(help="End after so many seconds.", min=0, show_default="Ctrl-C or the end")
+        float | None,
+        typer.Option(
+            help="End after this many seconds.",
+            metavar="SECONDS",
+            min=0,
+            show_default="at Ctrl-C or the end of the source",
+        ),
     ] = None,
     out: Annotated[
-        str | None, typer.Option(help="Also write a table of that name into PROJECT/results, at the end.")
+        str | None,
+        typer.Option(
+            help="At the end, write a table of this name into PROJECT/results.",
+            metavar="NAME",
+            show_default="no table",
+        ),
     ] = None,
-    size: Annotated[str | None, typer.Option(help="Of the camera's frames, px, such as 640x480.")] = None,
-    rate: Annotated[float | None, typer.Option(help="Of the camera, frames/s.", min=0.1)] = None,
+    size: Annotated[
+        str | None,
+        typer.Option(
+            help="Size of the camera's frames in px, such as 640x480.",
+            metavar="WIDTHxHEIGHT",
+            show_default="the camera's own",
+        ),
+    ] = None,
+    rate: Annotated[
+        float | None,
+        typer.Option(
+            help="Frame rate of the camera, frames/s.", metavar="HZ", min=0.1, show_default="the camera's own"
+        ),
+    ] = None,
     camera_format: Annotated[
-        str | None, typer.Option(help="As FFmpeg calls it; many cameras reach 60 frames/s only as mjpeg.")
+        str | None,
+        typer.Option(
+            help="Pixel format of the camera, as FFmpeg calls it. Many cameras reach 60 frames/s only with mjpeg.",
+            metavar="NAME",
+            show_default="the camera's own",
+        ),
     ] = None,
     model: ModelOption = None,
     engine: EngineOption = "auto",
     device: DeviceOption = "auto",
     threads: Annotated[
-        int | None, typer.Option(min=1, help="Cores for the network.", show_default="all, at most 4")
+        int | None,
+        typer.Option(
+            min=1,
+            help="Number of processor cores for the network.",
+            metavar="N",
+            show_default="all, at most 4",
+        ),
     ] = None,
 ) -> None:
-    """Measure as it is filmed, for closed-loop control.
+    """Measure a camera's angle while it films, for closed-loop control.
 
-    Prints a line with the bending angle as soon as it is known; words for people go to stderr. The newest frame is
-    measured, older ones are passed over, so it never falls behind. A file is played in real time. Ends with Ctrl-C.
+    Prints a line with the bending angle as soon as it is known; messages for people go to stderr. The newest frame is
+    measured and older ones are dropped, so the values never fall behind. A file is played in real time. Ctrl-C ends it.
     """
     console.leave_stdout_to_programs()
+    from ... import model_folders
+    from ...measuring import network_line
+    from ...networks import load_network, measured_angle
+    from ..interruption import stop_event
     from ..live.newest_first import measure_live
     from ..live.output import UdpTarget
     from ..live.sources import open_source
-    from ..project import Project
+    from .reporter import ConsoleReporter
 
-    opened = Project.open(project)
+    reporter = ConsoleReporter()
+    folder = opened(project, *(() if source is None else (source,))).folder
     if out is not None:
-        _check_free(opened, out)
+        _check_free(folder, out)
     mode = _camera_mode(size, rate, camera_format)
     target = None if udp is None else UdpTarget(udp)
-    network = load_network(model_folders.chosen(opened, model), engine, device, threads, soonest=True)
-    definition = measured_angle(opened, network)
+    network = load_network(
+        model_folders.chosen(folder, model), engine, device, threads, soonest=True, reporter=reporter
+    )
+    definition = measured_angle(folder, network, reporter)
     options: dict[str, Any] = {}
-    if opened.settings.tracking.min_likelihood is not None:
-        options["min_likelihood"] = opened.settings.tracking.min_likelihood
+    if folder.settings.tracking.min_likelihood is not None:
+        options["min_likelihood"] = folder.settings.tracking.min_likelihood
     filmed = open_source(source, mode)  # last, for a camera that runs and is not read falls behind
     if rate is not None and filmed.rate is not None and abs(filmed.rate - rate) > 0.01 * rate:
         console.warn(f"{filmed.name} delivers {filmed.rate:g} frames/s, not {rate:g}")
-    console.say(f"Network: {network.name} ({network.header.backbone}, {network.engine} on {network.device})")
+    console.say(network_line(network))
     console.say(f"Source: {filmed.name}, {filmed.size_wh[0]} x {filmed.size_wh[1]} px; Ctrl-C ends it")
 
-    kept = None if out is None else _Kept(opened.results_dir, out, filmed, network, definition, options)
+    kept = None if out is None else _Kept(folder.results_dir, out, filmed, network, definition, options)
     tally = _Tally()
     try:
-        with _little_to_sweep(), _stopped_by_signals() as stop, target or nullcontext():
+        with _little_to_sweep(), stop_event(signal.SIGINT, signal.SIGTERM) as stop, target or nullcontext():
             values = measure_live(filmed, network, definition, duration_s=duration, stop=stop, **options)
             with closing(values):
                 for value in _told(values, format, target):
@@ -162,7 +207,7 @@ class _Tally:
         rate = f" in {taken_s:.1f} s ({(n - 1) / taken_s:.1f}/s)" if n > 1 else ""
         median, high, most = np.percentile(self.latency_ms, (50, 95, 100))
         return (
-            f"{n} value{'s' if n > 1 else ''}{rate}, {self._passed_over} frames passed over;"
+            f"{n} value{'s' if n > 1 else ''}{rate}, {self._passed_over} frames dropped;"
             f" capture to value: median {median:.1f} ms, 95 % within {high:.1f} ms, at most {most:.1f} ms"
         )
 
@@ -211,25 +256,6 @@ def _little_to_sweep() -> Iterator[None]:
         yield
     finally:
         gc.unfreeze()
-
-
-@contextmanager
-def _stopped_by_signals() -> Iterator[threading.Event]:
-    """An event that Ctrl-C and SIGTERM set; a second one ends the program in its usual way."""
-    stop = threading.Event()
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-
-    def end(number: int, frame: object) -> None:
-        stop.set()
-        signal.signal(number, before[signal.Signals(number)])
-
-    for number in before:
-        signal.signal(number, end)
-    try:
-        yield stop
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _camera_mode(size: str | None, rate: float | None, format: str | None) -> CameraMode | None:

@@ -9,10 +9,10 @@ from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..errors import BendtrackError, CheckpointError, TrainingError
+from .tracker.errors import BendtrackError, CheckpointError, TrainingError
 
 if TYPE_CHECKING:
-    from ..project import Project
+    from .tracker.project import Project
 
 SETTINGS_FILE = "training-settings.json"
 """What the training was started with, so that --resume needs no other option."""
@@ -25,7 +25,7 @@ _DEFAULT_NAME = "model"
 
 def finished(project: Project) -> list[Path]:
     """Folders of the finished networks, the newest last."""
-    from ...models.finding.header import WEIGHTS_FILE
+    from .models.finding.header import WEIGHTS_FILE
 
     found = [path for path in _folders(project) if (path / WEIGHTS_FILE).is_file()]
     return sorted(found, key=lambda path: ((path / WEIGHTS_FILE).stat().st_mtime_ns, path.name))
@@ -33,8 +33,8 @@ def finished(project: Project) -> list[Path]:
 
 def unfinished(project: Project) -> list[Path]:
     """Folders of the trainings that can go on, the latest last."""
-    from ...models.finding.header import WEIGHTS_FILE
-    from ...models.learning.training_state import STATE_FILE
+    from .models.finding.header import WEIGHTS_FILE
+    from .models.learning.training_state import STATE_FILE
 
     found = [
         path
