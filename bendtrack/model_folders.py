@@ -82,11 +82,11 @@ def new_folder(project: Project, name: str | None, overwrite: bool) -> Path:
     if folder.exists() and not overwrite:
         if folder in unfinished(project):
             raise TrainingError(
-                f"--name: expected a new name, got '{name}', an unfinished training:"
+                f"--model: expected a new name, got '{name}', an unfinished training:"
                 " go on with --resume, or begin anew with --overwrite"
             )
         raise TrainingError(
-            f"--name: expected a new name, got '{name}', which is there already: choose another, or --overwrite"
+            f"--model: expected a new name, got '{name}', which is there already: choose another, or --overwrite"
         )
     return folder
 
@@ -121,5 +121,5 @@ def _folders(project: Project) -> list[Path]:
 def _checked(name: str) -> str:
     """The name, if it can be a folder's everywhere."""
     if not name or name == CROSS_VALIDATION or name[0] in ". " or any(sign in name for sign in '/\\:*?"<>|'):
-        raise BendtrackError(f"network name: expected letters, digits, and signs such as - _ ., got '{name}'")
+        raise BendtrackError(f"--model: expected letters, digits, and signs such as - _ ., got '{name}'")
     return name

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import signal
 import subprocess
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -38,13 +40,13 @@ def test_a_folder_becomes_tables_figures_and_overlays(
     assert (ran.status, ran.err) == (0, "")
     results = trained_project.results_dir
     assert names(results) == [
-        f"{stem}.{kind}" for stem in "ab" for kind in ("csv", "h5", "json", "mp4", "png")
+        f"{stem}.{kind}" for stem in "ab" for kind in ("csv", "h5", "json", "overlay.mp4", "png")
     ]
     assert "a.mp4: 12 frames" in ran.out
     table = read_results(results / "a.csv")
     assert len(table) == 12
     assert table.definition == read_results(results / "a.h5").definition
-    assert len(list(Video(results / "a.mp4"))) == 12
+    assert len(list(Video(results / "a.overlay.mp4"))) == 12
     record = json.loads((results / "a.json").read_text())
     assert record["detector"]["checkpoint_sha256"]
     assert set(record["files"]) == {"csv", "h5", "png", "mp4"}
@@ -62,7 +64,7 @@ def test_what_is_up_to_date_is_passed_over(bendtrack, trained_project: Project, 
     # An overlay that is asked for later is drawn from the table that is there.
     ran = bendtrack("track", trained_project.root, videos / "a.mp4", "--overlay")
     assert "up to date" in ran.out
-    assert (results / "a.mp4").is_file()
+    assert (results / "a.overlay.mp4").is_file()
     assert (results / "a.csv").stat().st_mtime_ns == before["a.csv"]
 
     # Damage is seen, and so is a setting that changed.
@@ -155,6 +157,14 @@ def test_a_moved_project_works(bendtrack, trained_project: Project, videos: Path
     assert "up to date" in ran.out
 
 
+def has_open(process: subprocess.Popen[str], file: Path) -> bool:
+    """Whether a process has a file open at this moment."""
+    links = Path(f"/proc/{process.pid}/fd").iterdir()
+    with suppress(OSError):  # closed while we look
+        return any(os.readlink(link) == str(file) for link in links)
+    return False
+
+
 def test_a_kill_leaves_whole_files_and_the_next_run_finishes(
     bendtrack, trained_project: Project, videos: Path, write_arm_video
 ) -> None:
@@ -164,11 +174,10 @@ def test_a_kill_leaves_whole_files_and_the_next_run_finishes(
         [bendtrack.command, "track", trained_project.root, videos], stdout=subprocess.PIPE, text=True
     )
     end = time.monotonic() + 200
-    while not (results / "b.png").exists():
+    while not ((results / "b.png").exists() and has_open(process, videos / "c.mp4")):  # in the middle of c
         assert process.poll() is None
         assert time.monotonic() < end
-        time.sleep(0.01)
-    time.sleep(0.2)  # in the middle of c
+        time.sleep(0.005)
     process.send_signal(signal.SIGKILL)
     process.communicate()
     assert process.returncode == -signal.SIGKILL

@@ -90,7 +90,7 @@ def test_names_are_counted_up_and_nothing_is_overwritten_unasked(bendtrack, trai
     before = (models / "model" / "weights.safetensors").read_bytes()
     assert bendtrack("train", trained_project.root, "--seed", 1).status == 0
     assert sorted(path.name for path in models.iterdir()) == ["model", "model-2"]
-    taken = bendtrack("train", trained_project.root, "--name", "model")
+    taken = bendtrack("train", trained_project.root, "--model", "model")
     assert taken.status == 2
     assert "choose another, or --overwrite" in taken.err
     assert (models / "model" / "weights.safetensors").read_bytes() == before
@@ -99,7 +99,7 @@ def test_names_are_counted_up_and_nothing_is_overwritten_unasked(bendtrack, trai
 
 
 def test_the_newest_network_is_judged_or_the_one_named(bendtrack, trained_project: Project) -> None:
-    assert bendtrack("train", trained_project.root, "--name", "b").status == 0
+    assert bendtrack("train", trained_project.root, "--model", "b").status == 0
     assert "'b' on 2 frames" in bendtrack("evaluate", trained_project.root).out
     ran = bendtrack("evaluate", trained_project.root, "--model", "model")
     assert "'model' on 2 frames that it was not trained on" in ran.out
@@ -128,7 +128,7 @@ def test_folds_judge_every_frame_once(bendtrack, project: Project) -> None:
     # It is no network.
     assert "got none: run `bendtrack train` first" in bendtrack("evaluate", project.root).err
     assert bendtrack("evaluate", project.root, "--folds", 11).status == 2
-    assert bendtrack("train", project.root, "--name", "cross-validation").status == 2
+    assert bendtrack("train", project.root, "--model", "cross-validation").status == 2
 
 
 def test_without_held_out_frames_there_is_nothing_to_judge(bendtrack, project: Project) -> None:
@@ -162,15 +162,15 @@ def test_a_stopped_training_goes_on_as_if_it_had_not_stopped(bendtrack, project:
     process = start(bendtrack, "train", project.root, "--seed", 6)
     wait_for(folder / STATE_FILE, process)
     process.send_signal(stop)
-    out, err = process.communicate()
+    _, err = process.communicate()
     if stop == signal.SIGINT:
         assert process.returncode == 130
         assert err.startswith("error: interrupted")
         assert err.count("\n") == 1
-        assert "--resume` goes on with 'model'" in out
+        assert "--resume` goes on with 'model'" in err
     assert not (folder / "weights.safetensors").exists()
 
-    other = bendtrack("train", project.root, "--name", "model")
+    other = bendtrack("train", project.root, "--model", "model")
     assert other.status == 2
     assert "an unfinished training: go on with --resume" in other.err
 
@@ -181,7 +181,7 @@ def test_a_stopped_training_goes_on_as_if_it_had_not_stopped(bendtrack, project:
     assert {path.name for path in folder.iterdir()} == FILES
     assert settings_of(folder)["seed"] == 6
 
-    assert bendtrack("train", project.root, "--seed", 6, "--name", "unbroken").status == 0
+    assert bendtrack("train", project.root, "--seed", 6, "--model", "unbroken").status == 0
     rows = [line.split(",") for line in (folder / "training.csv").read_text().splitlines()]
     assert [row[0] for row in rows] == ["step", "50", "70"]
     weights, unbroken = (

@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Callable
 
 from .angle_command import angle
-from .app import app
+from .app import Command, app
 from .demo_command import demo
 from .doctor_command import doctor
 from .frame_commands import frames, labels
@@ -41,7 +41,7 @@ _COMMANDS: dict[str, Callable[..., None]] = {
     "doctor": doctor,
 }
 for _name, _command in _COMMANDS.items():
-    app.command(_name)(_command)
+    app.command(_name, cls=Command)(_command)
 app.add_typer(labels, name="labels")
 
 

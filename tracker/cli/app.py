@@ -11,7 +11,7 @@ import traceback
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from ..errors import BendtrackError
 from . import console
@@ -74,6 +74,37 @@ class _Group(TyperGroup):
         except (BendtrackError, OSError) as error:
             _tell(error, _one_line(error))
             raise typer.Exit(getattr(error, "exit_status", BendtrackError.exit_status)) from None
+
+
+class Command(TyperCommand):
+    """A command whose help calls arguments what people write, without types and braces."""
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """[OPTIONS] and the arguments, called as in the help below."""
+        return ["[OPTIONS]", *(_called(argument) for argument in self._arguments(ctx))]
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """List arguments and options, each with its sentence."""
+        arguments = [(_called(argument), _explained(argument)) for argument in self._arguments(ctx)]
+        if arguments:
+            with formatter.section("Arguments"):
+                formatter.write_dl(arguments)
+        options = [p for p in self.get_params(ctx) if p.param_type_name == "option"]
+        records = [record for p in options if (record := p.get_help_record(ctx)) is not None]
+        with formatter.section("Options"):
+            formatter.write_dl(records)
+
+    def _arguments(self, ctx: Any) -> list[Any]:
+        return [p for p in self.get_params(ctx) if p.param_type_name == "argument"]
+
+
+def _called(argument: Any) -> str:
+    return str(argument.metavar or argument.name.upper())
+
+
+def _explained(argument: Any) -> str:
+    default = argument.show_default
+    return f"{argument.help}  [default: {default}]" if isinstance(default, str) else str(argument.help)
 
 
 app = typer.Typer(

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from . import console
+from .app import Command
 from .arguments import ProjectArgument, VideosArgument, opened
 
 
@@ -82,7 +83,7 @@ def _labels() -> None:
     """Look for mistakes in labels."""
 
 
-@labels.command("check")
+@labels.command("check", cls=Command)
 def check(project: ProjectArgument) -> None:
     """Look for mistakes in the labels.
 
