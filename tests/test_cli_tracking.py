@@ -11,6 +11,7 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from bendtrack.tracker.project import Project
@@ -76,6 +77,43 @@ def test_what_is_up_to_date_is_passed_over(bendtrack, trained_project: Project, 
     assert ": up to date" not in ran.out
     assert ran.out.count("overlay ->") == 2  # the old one showed the old table
     assert ": up to date" not in bendtrack("track", trained_project.root, pattern, "--force").out
+
+
+def test_each_video_ends_with_range_sd_and_flags(bendtrack, trained_project: Project, videos: Path) -> None:
+    ran = bendtrack("track", trained_project.root, videos / "a.mp4")
+    table = read_results(trained_project.results_dir / "a.h5")
+    last = ran.out.splitlines()[-1]
+    assert f"angle {np.nanmin(table.angle_deg):.1f} to {np.nanmax(table.angle_deg):.1f}°" in last
+    assert f"sd {np.nanmedian(table.angle_sd_deg):.2f}° (median)" in last
+    kinds, counts = np.unique(table.flag[table.flag != ""], return_counts=True)
+    assert f"{counts.sum()} of 12 rows flagged" in last
+    for kind, count in zip(kinds, counts, strict=True):
+        assert f"{count} {kind}" in last
+    assert bendtrack("track", trained_project.root, videos / "a.mp4").out.splitlines()[-1] == last
+
+
+def test_an_overlay_with_the_name_it_had_before_is_still_ours(
+    bendtrack, trained_project: Project, videos: Path
+) -> None:
+    results = trained_project.results_dir
+    assert bendtrack("track", trained_project.root, videos / "a.mp4", "--overlay").status == 0
+    (results / "a.overlay.mp4").rename(results / "a.mp4")
+    ran = bendtrack("track", trained_project.root, videos / "a.mp4", "--overlay")
+    assert "overlay ->" not in ran.out  # it shows the table as it is
+    ran = bendtrack("track", trained_project.root, results)
+    assert ran.status == 2
+    assert "got a folder without any" in ran.err  # and is no video to track
+
+
+def test_what_an_engine_changes_is_for_debugging(bendtrack, trained_project: Project, videos: Path) -> None:
+    record = trained_project.models_dir / "model" / "engine" / "engine.json"
+    record.unlink()
+    ran = bendtrack("track", trained_project.root, videos / "a.mp4")
+    assert "Compiling 'model' for the CPU (once)" in ran.out
+    assert "from float32" not in ran.out + ran.err
+    record.unlink()
+    ran = bendtrack("track", trained_project.root, videos / "a.mp4", "--debug")
+    assert "openvino: 0.000 px" in ran.out
 
 
 def test_another_network_makes_new_tables(bendtrack, trained_project: Project, videos: Path) -> None:

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import json
+import os
+import re
+import shlex
 import signal
 import subprocess
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from safetensors.torch import load_file
 
+from bendtrack.models.learning.settings import TrainingSettings
 from bendtrack.models.learning.training_state import STATE_FILE
 from bendtrack.tracker.project import Project
 
@@ -188,6 +193,71 @@ def test_a_stopped_training_goes_on_as_if_it_had_not_stopped(bendtrack, project:
         load_file(path / "weights.safetensors") for path in (folder, project.models_dir / "unbroken")
     )
     assert all(weights[name].equal(unbroken[name]) for name in unbroken)
+
+
+def test_ctrl_c_before_anything_was_saved_keeps_it_and_says_what_goes_on(bendtrack, project: Project) -> None:
+    set_training(project, steps=40)  # saved at the 40th without being stopped
+    read, write = os.openpty()
+    process = subprocess.Popen(
+        [bendtrack.command, "train", project.root, "--seed", "6"],
+        stdout=subprocess.PIPE,
+        stderr=write,
+        text=True,
+        env={**os.environ, "COLUMNS": "200", "TERM": "xterm"},
+    )
+    os.close(write)
+    said = b""
+    while not re.search(rb"step [1-9]", said):  # a terminal is shown every step
+        said += os.read(read, 4096)
+    process.send_signal(signal.SIGINT)
+    with suppress(OSError):  # Linux: the other end is closed
+        while more := os.read(read, 4096):
+            said += more
+    process.communicate()
+    os.close(read)
+    assert process.returncode == 130
+    last = said.decode().split("error: ")[-1]
+    again = shlex.join(["bendtrack", "train", str(project.root), "--resume"])
+    assert last.startswith(f"interrupted, its state is saved: `{again}` goes on with 'model'")
+    assert (project.models_dir / "model" / STATE_FILE).is_file()
+    ran = bendtrack("train", project.root, "--resume")
+    assert (ran.status, ran.err) == (0, "")
+    assert "'model': 40 steps" in ran.out
+
+
+def test_without_labels_frames_and_label_come_first(bendtrack, tmp_path: Path) -> None:
+    root = tmp_path / "my study"
+    assert bendtrack("new", root).status == 0
+    ran = bendtrack("train", root)
+    assert ran.status == 2
+    assert ran.err.count("\n") == 1
+    for command in ("frames", "label", "import"):
+        assert f"`{shlex.join(['bendtrack', command, str(root)])}" in ran.err
+    assert not (root / "models").exists()
+
+
+def test_a_limit_that_leaves_no_time_to_learn_is_warned_of(bendtrack, project: Project) -> None:
+    set_training(project, steps=100)
+    ran = bendtrack("train", project.root, "--max-minutes", 0.001)
+    assert ran.status == 0
+    assert "0.001 min were enough for 10 of 100 steps" in ran.err
+
+
+def test_defaults_in_the_help_are_those_of_the_settings(bendtrack) -> None:
+    said = " ".join(bendtrack("train", "--help").out.split())
+    defaults = TrainingSettings()
+    for option, value in (
+        ("--backbone", defaults.backbone),
+        ("--seed", defaults.seed),
+        ("--held-out", defaults.held_out),
+    ):
+        assert f"[default: ({value})]" in said.split(f"{option} ")[1].split(" --")[0]
+
+
+def test_a_name_is_given_as_before_too(bendtrack, project: Project) -> None:
+    assert "--name" not in bendtrack("train", "--help").out
+    assert bendtrack("train", project.root, "--name", "mine").status == 0
+    assert (project.models_dir / "mine" / "weights.safetensors").is_file()
 
 
 def test_other_labels_do_not_fit_a_stopped_training(bendtrack, project: Project) -> None:
