@@ -13,6 +13,7 @@ bendtrack costs nothing.
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,11 @@ if TYPE_CHECKING:
     from .project import Project, new_project, open_project
     from .studies import analyse
     from .tracker.results import read_results
+
+# In a copy of the repository the rooms lie next to this folder, not in it. From its root this copy is imported whole,
+# also where a wheel of another version is installed.
+if not os.path.isdir(os.path.join(__path__[0], "tracker")):
+    __path__.append(os.path.dirname(__path__[0]))
 
 _HOMES = {
     "Project": "project",

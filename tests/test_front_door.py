@@ -122,8 +122,15 @@ def test_a_study_that_cannot_be_read_is_one_line(tmp_path: Path) -> None:
 
 WITHOUT_TORCH = """\
 import sys
-for name in ("torch", "torchvision", "nncf"):
-    sys.modules[name] = None  # as if it were not installed
+
+
+class NotInstalled:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in ("torch", "torchvision", "nncf"):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+
+sys.meta_path.insert(0, NotInstalled())
 sys.argv = ["bendtrack", *sys.argv[1:]]
 from bendtrack.tracker.cli import main
 main()
@@ -171,6 +178,22 @@ def test_a_network_that_is_not_compiled_says_so_without_torch(
     ran = without_torch("track", trained_project.root, write_arm_video(tmp_path / "a.mp4", 5))
     assert ran.returncode == 2
     assert "'model' is not compiled for this machine yet, which needs torch" in ran.stderr
+
+
+def test_from_the_root_of_the_repository_one_copy_is_imported() -> None:
+    """Whatever is installed: a front door of this copy with rooms of another would be worse than none."""
+    if not (ROOT / "bendtrack").is_dir():
+        pytest.skip("the tests run without the packages next to them")
+    code = (
+        "import bendtrack, bendtrack.tracker as t, bendtrack.models as m; print(t.__path__[0], m.__path__[0])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-I", "-c", f"import sys; sys.path.insert(0, {str(ROOT)!r}); {code}"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.split() == [str(ROOT / "tracker"), str(ROOT / "models")]
 
 
 def test_the_front_door_is_installed_next_to_the_rooms() -> None:

@@ -11,11 +11,12 @@ import pytest
 from bendtrack.labeling.store import LabelStore, frame_index
 from bendtrack.tracker.project import Project
 from bendtrack.tracker.results import read_results
-from tests.conftest import TINY_TRAINING, arm_xy, sweep
 
 
 @pytest.mark.slow
-def test_each_step_leads_to_the_next(bendtrack, tmp_path: Path, monkeypatch, write_arm_video) -> None:
+def test_each_step_leads_to_the_next(
+    bendtrack, tmp_path: Path, monkeypatch, write_arm_video, arm_in_frame, tiny_training: str
+) -> None:
     monkeypatch.chdir(tmp_path)
     Path("videos").mkdir()
     frames = 120
@@ -25,8 +26,7 @@ def test_each_step_leads_to_the_next(bendtrack, tmp_path: Path, monkeypatch, wri
     assert (ran.status, ran.err) == (0, "")
     assert "Next: bendtrack frames 'my study' VIDEO..." in ran.out
     toml = Path("my study/bendtrack.toml")
-    tiny = "".join(f"{key} = {value}\n" for key, value in TINY_TRAINING.items())
-    toml.write_text(toml.read_text().replace("[training]\n", f"[training]\n{tiny}"))
+    toml.write_text(toml.read_text().replace("[training]\n", f"[training]\n{tiny_training}"))
 
     ran = bendtrack("frames", "my study", "videos", "--count", 8)
     assert (ran.status, ran.err) == (0, "")
@@ -39,7 +39,7 @@ def test_each_step_leads_to_the_next(bendtrack, tmp_path: Path, monkeypatch, wri
     # What a user clicks on the page.
     store = LabelStore.of(Project.open("my study"))
     images = [path.name for path in store.images("bend")]
-    store.write("bend", {name: arm_xy(float(sweep(frames)[frame_index(name)])) for name in images})
+    store.write("bend", {name: arm_in_frame(frame_index(name), frames) for name in images})
 
     ran = bendtrack("train", "my study")
     assert (ran.status, ran.err) == (0, "")
