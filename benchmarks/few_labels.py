@@ -31,16 +31,16 @@ from bendtrack.models.networks.shipped import working_copy
 from bendtrack.models.training.settings import TrainingSettings
 from bendtrack.models.training.trainer import train
 from bendtrack.models.training.transfer import ENDS, source_checkpoint
+from bendtrack.networks import load_network
 from bendtrack.tracker.angle import AngleDefinition, end_vector_px, label_noise_floor_deg
-from bendtrack.tracker.cli.engines import load_network
-from bendtrack.tracker.cli.tracking_runs import PROBE_FRAMES
+from bendtrack.tracker.batch import PROBE_FRAMES
 from bendtrack.tracker.errors import VideoError
 from bendtrack.tracker.synthetic.stream import (
     HELD_OUT,
     KEYPOINTS,
     TRAINING,
     Look,
-    Renderer,
+    Stage,
     before_other_background,
     drawn_look,
     in_other_light,
@@ -74,13 +74,13 @@ class Film:
 
 def filmed(path: Path, look: Look, frames: int) -> Film:
     """A slow inflation of a look, encoded; its exposure drifts where the look's does."""
-    renderer = Renderer(look)
+    stage = Stage(look)
     ends = [KEYPOINTS.index(name) for name in ENDS]
     xy, angle_deg, seen = [], [], []
     with VideoWriter(path, SIZE_WH, frame_rate=30) as writer:
         for index, bend in enumerate(inflation_deg(look, frames)):
-            sample = renderer.frame(float(bend), noise_seed=index, moment=index / frames)
-            writer.write(sample.image)
+            sample = stage.frame(float(bend), noise_seed=index, moment=index / frames)
+            writer.write(sample.picture)
             xy.append(sample.keypoints_xy[ends])
             angle_deg.append(sample.angle_deg)
             seen.append(sample.visible[ends].all())
@@ -132,10 +132,10 @@ NOTHING = Result(float("nan"), 0.0, float("nan"), 0.0, 0.0)
 
 
 def judged(
-    film: Film, detector: NetworkDetector, labelled: Sequence[int] = (), check_jumps: bool = False
+    film: Film, detector: NetworkDetector, labelled: Sequence[int] = (), steady: bool = False
 ) -> Result:
     """Track a film and compare with its truth."""
-    table = track(film.path, detector, DEFINITION, check_jumps=check_jumps)
+    table = track(film.path, detector, DEFINITION, check_jumps=steady)
     rest = film.seen.copy()
     rest[list(labelled)] = False
     error = (table.angle_deg - film.angle_deg)[rest]
@@ -151,7 +151,7 @@ def judged(
 def judged_unlabelled(film: Film, network: Path) -> Result:
     """Find the actuator in a film, track it and compare with its truth."""
     try:
-        detector = load_network(network, learns=True).for_video(spread_frames(film.path, PROBE_FRAMES))
+        detector = load_network(network).for_video(spread_frames(film.path, PROBE_FRAMES))
     except VideoError as error:
         print(f"    {error}")
         return NOTHING

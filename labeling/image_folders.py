@@ -11,7 +11,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from ..tracker.video import file_sha256, video_stem
+from ..tracker.hashing import file_sha256
+from ..tracker.video import video_stem
 from .frame_descriptors import FrameDescriptor, grey_thumbnail
 from .store import LabelStore, frame_index
 

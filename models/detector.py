@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from ..tracker.errors import CheckpointError
+from ..tracker.hashing import file_sha256
 from ..tracker.types import Detections, Frames
-from ..tracker.video import file_sha256
 from .inference.coarse_to_fine import CoarseToFineEstimator
 from .inference.crops import CropGeometry
 from .inference.metadata import CheckpointMetadata, read_metadata, weights_file

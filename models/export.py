@@ -19,8 +19,8 @@ import numpy as np
 from ..tracker.angle import bending_angle
 from ..tracker.atomic import atomic_path, atomic_write_text
 from ..tracker.errors import CheckpointError, reason
+from ..tracker.hashing import file_sha256
 from ..tracker.types import Detections, ImageArray
-from ..tracker.video import file_sha256
 from .data.images import read_image_file
 from .data.synthetic import rendered_samples
 from .inference.coarse_to_fine import CoarseToFineEstimator, Predictor, concatenated

@@ -9,8 +9,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from ..tracker.atomic import atomic_path
 from ..tracker.types import FloatArray
@@ -18,6 +20,9 @@ from .data.images import read_image
 from .evaluation import Evaluation
 
 WORST_FRAMES = 6
+
+WIDE_LOG_AXIS = 4.0
+"""Ratio of the ends of an axis above which there are at least two of 1, 2, 5, 10, ... on it."""
 
 _LABEL, _FOUND = "#0072B2", "#D55E00"
 """Okabe & Ito's blue and vermilion: told apart by everyone, and by shape besides (ring and cross)."""
@@ -60,7 +65,18 @@ def _learning_curve(rows: Sequence[dict[str, float]]) -> Figure:
     for axes in (left, right):
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(alpha=0.25, which="both")
+        _label_plainly(axes.yaxis)
     return figure
+
+
+def _label_plainly(axis: Axis) -> None:
+    """Put a few plain numbers on a logarithmic axis, 0.2 and not 2 x 10^-1, however little it spans."""
+    low, high = axis.get_view_interval()
+    # On less than a decade even steps read better; LogLocator would leave one tick or none.
+    wide = low > 0 and high / low > WIDE_LOG_AXIS
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)) if wide else MaxNLocator(5))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_locator(NullLocator())
 
 
 def _errors(evaluation: Evaluation) -> Figure:

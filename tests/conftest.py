@@ -141,6 +141,18 @@ def write_arm_video() -> WriteVideo:
     return write
 
 
+@pytest.fixture(scope="session")
+def arm_in_frame() -> Callable[[int, int], np.ndarray]:
+    """The points (4, 2) px in a frame of `write_arm_video`'s film of so many frames."""
+    return lambda index, frames: arm_xy(float(sweep(frames)[index]))
+
+
+@pytest.fixture(scope="session")
+def tiny_training() -> str:
+    """Lines for [training] in bendtrack.toml."""
+    return "".join(f"{key} = {value}\n" for key, value in TINY_TRAINING.items())
+
+
 def make_project(root: Path, training: Mapping[str, object]) -> Project:
     """A project with ten labelled pictures of the arm."""
     project = Project.create(root, keypoints=KEYPOINTS)

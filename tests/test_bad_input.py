@@ -230,7 +230,7 @@ def test_a_project_that_cannot_be_trained(bendtrack, project: Project, case: str
             "nowhere.pth",
             "--init: expected auto, actuator, imagenet, random or a weights file, got nowhere.pth",
         ),
-        ("--name", "../up", "network name: expected letters"),
+        ("--model", "../up", "--model: expected letters"),
     ],
 )
 def test_a_training_option_that_cannot_be(

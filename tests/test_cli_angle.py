@@ -84,7 +84,7 @@ def test_what_comes_with_bendtrack_measures_an_actuator_that_nobody_labelled(
 
 def test_without_a_network_there_is_one_line(bendtrack, write_arm_video, tmp_path: Path) -> None:
     video = write_arm_video(tmp_path / "a.mp4")
-    ran = bendtrack("angle", video, "--network", tmp_path / "nothing", "--out", tmp_path / "out")
+    ran = bendtrack("angle", video, "--model", tmp_path / "nothing", "--out", tmp_path / "out")
     assert ran.status == 2
     assert "expected a trained network at" in ran.err
 
@@ -103,22 +103,22 @@ def test_an_actuator_that_the_network_knows_is_found_and_measured(
     assert bendtrack("train", project.root, "--init", "random").status == 0
     video, out = write_arm_video(tmp_path / "new.mp4", 40), tmp_path / "out"
     network = project.models_dir / "model"
-    ran = bendtrack("angle", video, "--network", network, "--out", out)
+    ran = bendtrack("angle", video, "--model", network, "--out", out)
     assert (ran.status, ran.err) == (0, "")
     table = read_results(out / "new.h5")
     truth = 50 - 50 * np.cos(np.linspace(0, 2 * np.pi, 40))
     assert np.sqrt(np.nanmean((table.angle_deg - truth) ** 2)) < 5
     assert (out / "new.png").is_file()
-    assert "up to date" in bendtrack("angle", video, "--network", network, "--out", out).out
+    assert "up to date" in bendtrack("angle", video, "--model", network, "--out", out).out
     # Its light goes out in every second frame, and those that are looked at first are the others: that is told.
     steady, blinking = write_arm_video(tmp_path / "steady.mp4", 63), tmp_path / "blinking.mp4"
     with VideoWriter(blinking, Video(steady).size_wh, frame_rate=30) as writer:
         for frame in Video(steady):
             writer.write(frame.image * (frame.index % 2 == 0))
-    ran = bendtrack("angle", blinking, "--network", network, "--out", out)
+    ran = bendtrack("angle", blinking, "--model", network, "--out", out)
     assert ran.status == 0
     assert "blinking.mp4: expected the actuator in most frames, got it without a flag in" in ran.err
     assert (read_results(out / "blinking.h5").flag[1::2] != "").all()
-    again = bendtrack("angle", blinking, "--network", network, "--out", out)
+    again = bendtrack("angle", blinking, "--model", network, "--out", out)
     assert "up to date" in again.out
     assert again.err == ran.err

@@ -23,7 +23,7 @@ def test_the_whole_job_and_once_more(bendtrack, tmp_path: Path) -> None:
     assert (ran.status, ran.err) == (0, "")
     assert re.search(r"RMS error \d+\.\d\d°", ran.out)
     assert re.search(r"label-noise floor 0\.\d\d°", ran.out)
-    for name in ("results/video.csv", "results/video.png", "results/video.mp4", "models/model"):
+    for name in ("results/video.csv", "results/video.png", "results/video.overlay.mp4", "models/model"):
         assert str(out / name) in ran.out
         assert (out / name).exists()
     assert len(read_results(out / "results" / "video.csv")) == 601

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import os
+import re
+import subprocess
 from importlib.metadata import version
 from pathlib import Path
 
 import pytest
+from typer.core import TyperOption
+from typer.main import get_command
 
 from bendtrack.tracker.cli import app
+from bendtrack.tracker.cli.app import COMMAND_GROUPS
+from bendtrack.tracker.project import Project
 
 COMMANDS = (
     *("demo", "new", "frames", "label", "import", "export", "train", "evaluate", "track", "live", "angle"),
@@ -18,8 +25,12 @@ COMMANDS = (
 def test_these_are_the_commands(bendtrack) -> None:
     ran = bendtrack("--help")
     assert ran.status == 0
-    listed = ran.out.split("Commands:")[1].split("\n\n")[0]
-    assert tuple(line.split()[0] for line in listed.strip().splitlines()) == (*COMMANDS, "labels")
+    listed = ran.out.split("--help ")[1]
+    # Two spaces before a name; a sentence that is folded goes on further right.
+    names = [line.split()[0] for line in listed.splitlines()[1:] if line[:2] == "  " and line[2:3].islower()]
+    assert sorted(names) == sorted((*COMMANDS, "labels"))
+    assert tuple(names) == tuple(name for group in COMMAND_GROUPS.values() for name in group)
+    assert all(f"\n{title}:\n" in ran.out for title in COMMAND_GROUPS)
     assert "..." not in listed  # no sentence is cut off
     assert {command.name for command in app.registered_commands} == set(COMMANDS)
 
@@ -37,6 +48,59 @@ def test_help_of_a_command(bendtrack, command: str) -> None:
             told = len(line.split("  ")) > 2 or (following and following[0].startswith("      "))
             assert told, line
     assert options
+    if command == "render":  # its options are described with its own defaults elsewhere
+        return
+    # Words for people, not for programmers.
+    assert not re.search(r"<(list|str|int|float|path|Path)|[{}]", ran.out), ran.out
+    for option in click_options(command):
+        assert option.help.endswith((".", "?")), option.name  # a sentence
+        assert len(option.help.split()) >= 3, option.help
+
+
+def click_options(command: str) -> list[TyperOption]:
+    """The options of a command that its help shows, but for --help itself."""
+    found = get_command(app).commands[command]
+    return [p for p in found.params if isinstance(p, TyperOption) and not p.hidden]
+
+
+@pytest.mark.parametrize("command", [name for name in COMMANDS if name != "render"])
+def test_every_option_with_a_value_says_its_default(bendtrack, command: str) -> None:
+    for option in click_options(command):
+        if not option.is_flag and not option.multiple:
+            assert option.default is not None or isinstance(option.show_default, str), option.name
+
+
+def test_completion_is_offered(bendtrack) -> None:
+    ran = bendtrack("--help")
+    assert "--install-completion" in ran.out
+    assert "--show-completion" in ran.out
+    done = subprocess.run(
+        [bendtrack.command],
+        env={
+            **os.environ,
+            "_BENDTRACK_COMPLETE": "complete_bash",
+            "COMP_WORDS": "bendtrack tr",
+            "COMP_CWORD": "1",
+        },
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert set(done.stdout.split()) == {"track", "train"}
+
+
+@pytest.mark.parametrize(
+    "command", [("track", "a.mp4", "my study"), ("frames", "a.mp4", "my study"), ("export", "a", "my study")]
+)
+def test_arguments_in_the_wrong_order_are_seen(
+    bendtrack, tmp_path: Path, monkeypatch, command: tuple[str, ...]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Project.create(tmp_path / "my study", keypoints=("a", "b", "c", "d"))
+    ran = bendtrack(*command)
+    assert ran.status == 2
+    assert "did you swap them?" in ran.err
+    assert f"`bendtrack {command[0]} 'my study' {command[1]}`" in ran.err  # can be pasted
 
 
 def test_version_as_installed(bendtrack) -> None:

@@ -8,6 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from bendtrack.tracker.project import Project
+
 FRAMES_S = np.arange(0, 20, 1 / 30)
 LOG_S = np.arange(0, 20, 1 / 400)
 PERIOD_S = 4.0
@@ -112,3 +114,32 @@ def test_a_mistake_in_the_study_file(bendtrack, tmp_path: Path) -> None:
     assert ran.status == 2
     assert "unknown key 'trails' (did you mean 'trials'?)" in ran.err
     assert names(tmp_path) == {"study.toml"}
+
+
+def test_in_a_project_only_logs_are_taken_for_logs(bendtrack, tmp_path: Path) -> None:
+    """A network's training.csv has columns of numbers too, and so has what lies next to results."""
+    root = tmp_path / "my study"
+    Project.create(root, keypoints=("base_1", "base_2", "tip_1", "tip_2"))
+    put(root / "results/bend.csv", "time_s,angle_deg", FRAMES_S, angle_deg(FRAMES_S, 100))
+    put(root / "results/notes.csv", "time_s,pressure_kpa", LOG_S, pressure_kpa(LOG_S))
+    put(root / "models/model/training.csv", "time_s,pressure_kpa", LOG_S, pressure_kpa(LOG_S))
+    put(root / "labeled-data/bend/CollectedData_x.csv", "time_s,pressure_kpa", LOG_S, pressure_kpa(LOG_S))
+    ran = bendtrack("analyze", "--init", root)
+    assert ran.status == 2
+    assert "expected pressure logs and angle tables" in ran.err
+    assert "training.csv" not in ran.err
+    assert "notes.csv" not in ran.err
+    assert "CollectedData" not in ran.err
+    # It says what to do next, and that works.
+    assert f"copy the one of 'bend' to {root / 'logs' / 'bend.csv'}" in ran.err
+    put(root / "logs/bend.csv", "time_s,pressure_kpa", LOG_S, pressure_kpa(LOG_S))
+    ran = bendtrack("analyze", "--init", root)
+    assert (ran.status, ran.err) == (0, "")
+    assert f"bendtrack analyze '{root / 'study.toml'}'" in ran.out
+    study = (root / "study.toml").read_text()
+    assert 'log = "logs/bend.csv"' in study
+    assert "training.csv" not in study
+    ran = bendtrack("analyze", root / "study.toml")
+    assert ran.status == 0, ran.err
+    dynamic = pd.read_csv(root / "study-report" / "tables" / "dynamic.csv")
+    np.testing.assert_allclose(dynamic["hysteresis_ratio"], 1 / 6, atol=0.004)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import signal
 import subprocess
 import time
+from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from bendtrack.tracker.project import Project
@@ -38,13 +41,13 @@ def test_a_folder_becomes_tables_figures_and_overlays(
     assert (ran.status, ran.err) == (0, "")
     results = trained_project.results_dir
     assert names(results) == [
-        f"{stem}.{kind}" for stem in "ab" for kind in ("csv", "h5", "json", "mp4", "png")
+        f"{stem}.{kind}" for stem in "ab" for kind in ("csv", "h5", "json", "overlay.mp4", "png")
     ]
     assert "a.mp4: 12 frames" in ran.out
     table = read_results(results / "a.csv")
     assert len(table) == 12
     assert table.definition == read_results(results / "a.h5").definition
-    assert len(list(Video(results / "a.mp4"))) == 12
+    assert len(list(Video(results / "a.overlay.mp4"))) == 12
     record = json.loads((results / "a.json").read_text())
     assert record["detector"]["checkpoint_sha256"]
     assert set(record["files"]) == {"csv", "h5", "png", "mp4"}
@@ -62,7 +65,7 @@ def test_what_is_up_to_date_is_passed_over(bendtrack, trained_project: Project, 
     # An overlay that is asked for later is drawn from the table that is there.
     ran = bendtrack("track", trained_project.root, videos / "a.mp4", "--overlay")
     assert "up to date" in ran.out
-    assert (results / "a.mp4").is_file()
+    assert (results / "a.overlay.mp4").is_file()
     assert (results / "a.csv").stat().st_mtime_ns == before["a.csv"]
 
     # Damage is seen, and so is a setting that changed.
@@ -74,6 +77,43 @@ def test_what_is_up_to_date_is_passed_over(bendtrack, trained_project: Project, 
     assert ": up to date" not in ran.out
     assert ran.out.count("overlay ->") == 2  # the old one showed the old table
     assert ": up to date" not in bendtrack("track", trained_project.root, pattern, "--force").out
+
+
+def test_each_video_ends_with_range_sd_and_flags(bendtrack, trained_project: Project, videos: Path) -> None:
+    ran = bendtrack("track", trained_project.root, videos / "a.mp4")
+    table = read_results(trained_project.results_dir / "a.h5")
+    last = ran.out.splitlines()[-1]
+    assert f"angle {np.nanmin(table.angle_deg):.1f} to {np.nanmax(table.angle_deg):.1f}°" in last
+    assert f"sd {np.nanmedian(table.angle_sd_deg):.2f}° (median)" in last
+    kinds, counts = np.unique(table.flag[table.flag != ""], return_counts=True)
+    assert f"{counts.sum()} of 12 rows flagged" in last
+    for kind, count in zip(kinds, counts, strict=True):
+        assert f"{count} {kind}" in last
+    assert bendtrack("track", trained_project.root, videos / "a.mp4").out.splitlines()[-1] == last
+
+
+def test_an_overlay_with_the_name_it_had_before_is_still_ours(
+    bendtrack, trained_project: Project, videos: Path
+) -> None:
+    results = trained_project.results_dir
+    assert bendtrack("track", trained_project.root, videos / "a.mp4", "--overlay").status == 0
+    (results / "a.overlay.mp4").rename(results / "a.mp4")
+    ran = bendtrack("track", trained_project.root, videos / "a.mp4", "--overlay")
+    assert "overlay ->" not in ran.out  # it shows the table as it is
+    ran = bendtrack("track", trained_project.root, results)
+    assert ran.status == 2
+    assert "got a folder without any" in ran.err  # and is no video to track
+
+
+def test_what_an_engine_changes_is_for_debugging(bendtrack, trained_project: Project, videos: Path) -> None:
+    record = trained_project.models_dir / "model" / "engine" / "engine.json"
+    record.unlink()
+    ran = bendtrack("track", trained_project.root, videos / "a.mp4")
+    assert "Compiling 'model' for the CPU (once)" in ran.out
+    assert "from float32" not in ran.out + ran.err
+    record.unlink()
+    ran = bendtrack("track", trained_project.root, videos / "a.mp4", "--debug")
+    assert "openvino: 0.000 px" in ran.out
 
 
 def test_another_network_makes_new_tables(bendtrack, trained_project: Project, videos: Path) -> None:
@@ -155,6 +195,14 @@ def test_a_moved_project_works(bendtrack, trained_project: Project, videos: Path
     assert "up to date" in ran.out
 
 
+def has_open(process: subprocess.Popen[str], file: Path) -> bool:
+    """Whether a process has a file open at this moment."""
+    links = Path(f"/proc/{process.pid}/fd").iterdir()
+    with suppress(OSError):  # closed while we look
+        return any(os.readlink(link) == str(file) for link in links)
+    return False
+
+
 def test_a_kill_leaves_whole_files_and_the_next_run_finishes(
     bendtrack, trained_project: Project, videos: Path, write_arm_video
 ) -> None:
@@ -164,11 +212,10 @@ def test_a_kill_leaves_whole_files_and_the_next_run_finishes(
         [bendtrack.command, "track", trained_project.root, videos], stdout=subprocess.PIPE, text=True
     )
     end = time.monotonic() + 200
-    while not (results / "b.png").exists():
+    while not ((results / "b.png").exists() and has_open(process, videos / "c.mp4")):  # in the middle of c
         assert process.poll() is None
         assert time.monotonic() < end
-        time.sleep(0.01)
-    time.sleep(0.2)  # in the middle of c
+        time.sleep(0.005)
     process.send_signal(signal.SIGKILL)
     process.communicate()
     assert process.returncode == -signal.SIGKILL

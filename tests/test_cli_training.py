@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import json
+import os
+import re
+import shlex
 import signal
 import subprocess
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from safetensors.torch import load_file
 
+from bendtrack.models.training.settings import TrainingSettings
 from bendtrack.models.training.state import STATE_FILE
 from bendtrack.tracker.project import Project
 
@@ -90,7 +95,7 @@ def test_names_are_counted_up_and_nothing_is_overwritten_unasked(bendtrack, trai
     before = (models / "model" / "weights.safetensors").read_bytes()
     assert bendtrack("train", trained_project.root, "--seed", 1).status == 0
     assert sorted(path.name for path in models.iterdir()) == ["model", "model-2"]
-    taken = bendtrack("train", trained_project.root, "--name", "model")
+    taken = bendtrack("train", trained_project.root, "--model", "model")
     assert taken.status == 2
     assert "choose another, or --overwrite" in taken.err
     assert (models / "model" / "weights.safetensors").read_bytes() == before
@@ -99,7 +104,7 @@ def test_names_are_counted_up_and_nothing_is_overwritten_unasked(bendtrack, trai
 
 
 def test_the_newest_network_is_judged_or_the_one_named(bendtrack, trained_project: Project) -> None:
-    assert bendtrack("train", trained_project.root, "--name", "b").status == 0
+    assert bendtrack("train", trained_project.root, "--model", "b").status == 0
     assert "'b' on 2 frames" in bendtrack("evaluate", trained_project.root).out
     ran = bendtrack("evaluate", trained_project.root, "--model", "model")
     assert "'model' on 2 frames that it was not trained on" in ran.out
@@ -128,7 +133,7 @@ def test_folds_judge_every_frame_once(bendtrack, project: Project) -> None:
     # It is no network.
     assert "got none: run `bendtrack train` first" in bendtrack("evaluate", project.root).err
     assert bendtrack("evaluate", project.root, "--folds", 11).status == 2
-    assert bendtrack("train", project.root, "--name", "cross-validation").status == 2
+    assert bendtrack("train", project.root, "--model", "cross-validation").status == 2
 
 
 def test_without_held_out_frames_there_is_nothing_to_judge(bendtrack, project: Project) -> None:
@@ -162,15 +167,15 @@ def test_a_stopped_training_goes_on_as_if_it_had_not_stopped(bendtrack, project:
     process = start(bendtrack, "train", project.root, "--seed", 6)
     wait_for(folder / STATE_FILE, process)
     process.send_signal(stop)
-    out, err = process.communicate()
+    _, err = process.communicate()
     if stop == signal.SIGINT:
         assert process.returncode == 130
         assert err.startswith("error: interrupted")
         assert err.count("\n") == 1
-        assert "--resume` goes on with 'model'" in out
+        assert "--resume` goes on with 'model'" in err
     assert not (folder / "weights.safetensors").exists()
 
-    other = bendtrack("train", project.root, "--name", "model")
+    other = bendtrack("train", project.root, "--model", "model")
     assert other.status == 2
     assert "an unfinished training: go on with --resume" in other.err
 
@@ -181,13 +186,78 @@ def test_a_stopped_training_goes_on_as_if_it_had_not_stopped(bendtrack, project:
     assert {path.name for path in folder.iterdir()} == FILES
     assert settings_of(folder)["seed"] == 6
 
-    assert bendtrack("train", project.root, "--seed", 6, "--name", "unbroken").status == 0
+    assert bendtrack("train", project.root, "--seed", 6, "--model", "unbroken").status == 0
     rows = [line.split(",") for line in (folder / "training.csv").read_text().splitlines()]
     assert [row[0] for row in rows] == ["step", "50", "70"]
     weights, unbroken = (
         load_file(path / "weights.safetensors") for path in (folder, project.models_dir / "unbroken")
     )
     assert all(weights[name].equal(unbroken[name]) for name in unbroken)
+
+
+def test_ctrl_c_before_anything_was_saved_keeps_it_and_says_what_goes_on(bendtrack, project: Project) -> None:
+    set_training(project, steps=40)  # saved at the 40th without being stopped
+    read, write = os.openpty()
+    process = subprocess.Popen(
+        [bendtrack.command, "train", project.root, "--seed", "6"],
+        stdout=subprocess.PIPE,
+        stderr=write,
+        text=True,
+        env={**os.environ, "COLUMNS": "200", "TERM": "xterm"},
+    )
+    os.close(write)
+    said = b""
+    while not re.search(rb"step [1-9]", said):  # a terminal is shown every step
+        said += os.read(read, 4096)
+    process.send_signal(signal.SIGINT)
+    with suppress(OSError):  # Linux: the other end is closed
+        while more := os.read(read, 4096):
+            said += more
+    process.communicate()
+    os.close(read)
+    assert process.returncode == 130
+    last = said.decode().split("error: ")[-1]
+    again = shlex.join(["bendtrack", "train", str(project.root), "--resume"])
+    assert last.startswith(f"interrupted, its state is saved: `{again}` goes on with 'model'")
+    assert (project.models_dir / "model" / STATE_FILE).is_file()
+    ran = bendtrack("train", project.root, "--resume")
+    assert (ran.status, ran.err) == (0, "")
+    assert "'model': 40 steps" in ran.out
+
+
+def test_without_labels_frames_and_label_come_first(bendtrack, tmp_path: Path) -> None:
+    root = tmp_path / "my study"
+    assert bendtrack("new", root).status == 0
+    ran = bendtrack("train", root)
+    assert ran.status == 2
+    assert ran.err.count("\n") == 1
+    for command in ("frames", "label", "import"):
+        assert f"`{shlex.join(['bendtrack', command, str(root)])}" in ran.err
+    assert not (root / "models").exists()
+
+
+def test_a_limit_that_leaves_no_time_to_learn_is_warned_of(bendtrack, project: Project) -> None:
+    set_training(project, steps=100)
+    ran = bendtrack("train", project.root, "--max-minutes", 0.001)
+    assert ran.status == 0
+    assert "0.001 min were enough for 10 of 100 steps" in ran.err
+
+
+def test_defaults_in_the_help_are_those_of_the_settings(bendtrack) -> None:
+    said = " ".join(bendtrack("train", "--help").out.split())
+    defaults = TrainingSettings()
+    for option, value in (
+        ("--backbone", defaults.backbone),
+        ("--seed", defaults.seed),
+        ("--held-out", defaults.held_out),
+    ):
+        assert f"[default: ({value})]" in said.split(f"{option} ")[1].split(" --")[0]
+
+
+def test_a_name_is_given_as_before_too(bendtrack, project: Project) -> None:
+    assert "--name" not in bendtrack("train", "--help").out
+    assert bendtrack("train", project.root, "--name", "mine").status == 0
+    assert (project.models_dir / "mine" / "weights.safetensors").is_file()
 
 
 def test_other_labels_do_not_fit_a_stopped_training(bendtrack, project: Project) -> None:

@@ -8,6 +8,8 @@ import sys
 import tomllib
 from pathlib import Path
 
+from bendtrack.tracker.extras import TRAINING_PACKAGES
+
 ROOT = Path(__file__).parents[1]
 # Modules that are not called like what is installed.
 INSTALLED_AS = {
@@ -17,13 +19,14 @@ INSTALLED_AS = {
     "yaml": "pyyaml",
     "pydantic_core": "pydantic",
     "sleap_io": "sleap-io",
+    "ndx_pose": "ndx-pose",
 }
 
 
 def imported() -> set[str]:
     """Top-level modules that any file of the packages imports, wherever in it."""
     found: set[str] = set()
-    for package in ("tracker", "models", "labeling"):
+    for package in ("bendtrack", "tracker", "models", "labeling"):
         for path in (ROOT / package).rglob("*.py"):
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
                 if isinstance(node, ast.Import):
@@ -36,6 +39,19 @@ def imported() -> set[str]:
 def test_every_import_is_a_declared_dependency() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
-    lines = [*project["dependencies"], *extras["dlc-h5"], *extras["sleap"]]
+    optional = [line for name in ("dlc-h5", "sleap", "xarray", "nwb") for line in extras[name]]
+    lines = [*project["dependencies"], *optional]
     declared = {re.split(r"[^\w.-]", line)[0].lower() for line in lines}
     assert {INSTALLED_AS.get(module, module) for module in imported()} - declared == set()
+
+
+def test_tracking_alone_needs_all_but_what_trains() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    lines = (ROOT / "requirements" / "track-only.txt").read_text(encoding="utf-8").splitlines()
+    left = set(project["dependencies"]) - {line for line in lines if not line.startswith("#")}
+    assert (
+        {re.split(r"[^\w.-]", line)[0] for line in left}
+        == {"torch", "torchvision", "nncf"}
+        == set(TRAINING_PACKAGES)
+    )
+    assert {line for line in lines if not line.startswith("#")} <= set(project["dependencies"])

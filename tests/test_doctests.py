@@ -5,14 +5,19 @@ from __future__ import annotations
 import doctest
 import importlib
 import pkgutil
+from pathlib import Path
 
 import pytest
 
+import bendtrack
 import bendtrack.labeling
 import bendtrack.models
 import bendtrack.tracker
 
 MODULES = [
+    "bendtrack",
+    *(f"bendtrack.{path.stem}" for path in Path(bendtrack.__file__).parent.glob("[!_]*.py")),
+] + [
     found.name
     for package in (bendtrack.tracker, bendtrack.models, bendtrack.labeling)
     for found in pkgutil.walk_packages(package.__path__, f"{package.__name__}.")

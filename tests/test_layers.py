@@ -1,4 +1,4 @@
-"""The star: tracker knows nobody, models and labeling know tracker, the command line knows all, but late."""
+"""The star: tracker knows nobody, models and labeling know tracker; front door and command line know all, but late."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+import bendtrack
 import bendtrack.labeling
 import bendtrack.models
 import bendtrack.tracker
@@ -20,12 +21,13 @@ PACKAGES = {
     "labeling": Path(bendtrack.labeling.__path__[0]),
 }
 ALLOWED = {"tracker": {"tracker"}, "models": {"models", "tracker"}, "labeling": {"labeling", "tracker"}}
+FRONT_DOOR = {path.stem: path for path in sorted(Path(bendtrack.__path__[0]).glob("*.py"))}
 HEAVY = {"torch", "torchvision", "safetensors"}
 
 
 def modules() -> list[tuple[str, Path]]:
     """Every module's dotted name under bendtrack, and its file."""
-    found = []
+    found = [("" if name == "__init__" else name, path) for name, path in FRONT_DOOR.items()]
     for package, folder in PACKAGES.items():
         for path in sorted(folder.rglob("*.py")):
             parts = [package, *path.relative_to(folder).with_suffix("").parts]
@@ -38,7 +40,8 @@ def imports(name: str, path: Path, *, at_import: bool = False) -> Iterator[str]:
 
     at_import : only those that run when the module is imported, not those in functions or for type checkers
     """
-    package = name.split(".") if path.name == "__init__.py" else name.split(".")[:-1]
+    parts = name.split(".") if name else []
+    package = parts if path.name == "__init__.py" else parts[:-1]
 
     def walk(node: ast.AST) -> Iterator[ast.AST]:
         for child in ast.iter_child_nodes(node):
@@ -75,9 +78,13 @@ def ours(imported: str) -> str | None:
 def test_imports_follow_the_star(name: str, path: Path) -> None:
     package = name.split(".")[0]
     is_cli = name.startswith("tracker.cli")
-    allowed = set(PACKAGES) if is_cli else ALLOWED[package]
+    knows_all = is_cli or path in FRONT_DOOR.values()
+    allowed = {*PACKAGES, *FRONT_DOOR} if knows_all else ALLOWED[package]
     for imported in imports(name, path):
         assert ours(imported) in {None, *allowed, *({"data_samples"} if is_cli else ())}, imported
+        assert is_cli or not imported.startswith("bendtrack.tracker.cli"), (
+            imported
+        )  # it is a shell over all others
         if package != "models" and not is_cli:
             assert imported.split(".")[0] not in HEAVY, imported
         assert imported.split(".")[0] not in PACKAGES, imported
@@ -157,6 +164,28 @@ def test_help_loads_nothing_heavy() -> None:
 )
 def test_analysis_never_loads_torch(code: str) -> None:
     assert not loaded_by(code) & HEAVY
+
+
+def test_the_front_door_costs_nothing_before_it_is_used() -> None:
+    heavy = {
+        *HEAVY,
+        "numpy",
+        "pandas",
+        "openvino",
+        "cv2",
+        "av",
+        "h5py",
+        "matplotlib",
+        "pydantic",
+        "scipy",
+        "typer",
+    }
+    assert not loaded_by("import bendtrack; bendtrack.__version__; dir(bendtrack)") & heavy
+
+
+def test_a_project_is_opened_without_torch_and_openvino() -> None:
+    code = "import bendtrack as bt; bt.open_project, bt.measure, bt.analyse, bt.read_results, bt.Project"
+    assert not loaded_by(code) & {*HEAVY, "openvino"}
 
 
 @pytest.mark.parametrize("package", PACKAGES)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import importlib
 import inspect
+from importlib.metadata import version
 from types import ModuleType
 
 import pytest
 
 PUBLIC = {
+    "bendtrack": ["Project", "analyse", "measure", "new_project", "open_project", "read_results"],
     "bendtrack.tracker": [
         "AngleDefinition",
         "AngleTable",
@@ -61,5 +63,12 @@ def test_a_wrong_name_is_an_attribute_error() -> None:
 
 
 def test_lazy_names_are_listed_for_completion() -> None:
-    package = importlib.import_module("bendtrack.tracker")
-    assert set(package.__all__) <= set(dir(package))
+    for name in ("bendtrack", "bendtrack.tracker"):
+        package = importlib.import_module(name)
+        assert set(package.__all__) <= set(dir(package))
+
+
+def test_the_version_is_the_installed_one() -> None:
+    package = importlib.import_module("bendtrack")
+    assert package.__version__ == version("bendtrack")
+    assert "__version__" in dir(package)

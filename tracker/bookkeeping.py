@@ -11,8 +11,9 @@ import h5py
 
 from .atomic import atomic_write_text
 from .errors import ResultsError
+from .hashing import file_sha256
 from .results import FORMAT, json_ready, read_record
-from .video import file_sha256, video_stem
+from .video import video_stem
 
 
 def is_up_to_date(
@@ -178,7 +179,29 @@ def is_recorded(out_dir: str | Path, stem: str, path: Path) -> bool:
         Whether its hash is the recorded one.
     """
     try:
-        files = read_record(Path(out_dir) / f"{stem}.json").get("files", {})
-        return bool(files.get(path.suffix[1:]) == file_sha256(path))
+        recorded = read_record(Path(out_dir) / f"{stem}.json").get("files", {}).get(path.suffix[1:])
+        return recorded is not None and bool(recorded == file_sha256(path))
     except (ResultsError, OSError):
         return False
+
+
+def overlay_of_record(out_dir: str | Path, stem: str) -> Path | None:
+    """Find the overlay video that was made from a table as it is now.
+
+    Until version 0.1 it had the video's own name, `<stem>.mp4`.
+
+    Parameters
+    ----------
+    out_dir : str or Path
+        The folder of the results.
+    stem : str
+        Name of the table's files, without suffix.
+
+    Returns
+    -------
+    Path or None
+        The overlay; None where there is none, or one of another table.
+    """
+    folder = Path(out_dir)
+    named = (folder / f"{stem}.overlay.mp4", folder / f"{stem}.mp4")
+    return next((path for path in named if path.exists() and is_recorded(folder, stem, path)), None)

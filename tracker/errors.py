@@ -51,6 +51,10 @@ class StudyError(BendtrackError):
     """A study file is malformed, or a trial of it cannot be put together."""
 
 
+class MissingPackageError(BendtrackError):
+    """A package is not installed that not every use of bendtrack needs."""
+
+
 class BendtrackWarning(UserWarning):
     """A problem was worked around; the results record where."""
 

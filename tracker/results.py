@@ -12,7 +12,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
@@ -22,8 +22,13 @@ from numpy.typing import NDArray
 from .angle import AngleDefinition
 from .atomic import atomic_path, atomic_write_bytes, atomic_write_text
 from .errors import AngleError, ResultsError, reason
+from .hashing import file_sha256
 from .types import FloatArray
-from .video import file_sha256
+
+if TYPE_CHECKING:
+    from datetime import datetime
+
+    import xarray
 
 # Raised when the files' layout changes, so that older results count as out of date.
 FORMAT = 1
@@ -110,6 +115,78 @@ class AngleTable:
             columns[f"{name}_y"] = self.xy[:, k, 1]
             columns[f"{name}_likelihood"] = self.likelihood[:, k]
         return pd.DataFrame(columns)
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Give the table as a dataset with movement's dimensions for poses, and the angle on time.
+
+        Returns
+        -------
+        xarray.Dataset
+            `position` (time, space, keypoints, individuals) px, `confidence`, `angle` and `angle_sd` (time) degrees,
+            `flag` (time); see `xarray_dataset.to_dataset`.
+
+        Raises
+        ------
+        MissingPackageError
+            xarray is not installed (``pip install 'bendtrack[xarray]'``).
+
+        Examples
+        --------
+        >>> dataset = read_results("results/a.h5").to_xarray()  # doctest: +SKIP
+        >>> dataset.angle.sel(time=slice(0, 10)).max()  # doctest: +SKIP
+        """
+        from .xarray_dataset import to_dataset
+
+        return to_dataset(self)
+
+    @staticmethod
+    def from_xarray(dataset: xarray.Dataset) -> AngleTable:
+        """Read a table back from what `to_xarray` gave.
+
+        Parameters
+        ----------
+        dataset : xarray.Dataset
+            As `to_xarray` gives it, also when it went through movement.
+
+        Returns
+        -------
+        AngleTable
+            The same table.
+
+        Raises
+        ------
+        ResultsError
+            A variable is missing, or there is more than one individual.
+        """
+        from .xarray_dataset import from_dataset
+
+        return from_dataset(dataset)
+
+    def to_nwb(self, path: str | Path, *, session_start: datetime | None = None) -> Path:
+        """Write the table as a file of Neurodata Without Borders, every time the frame's own timestamp.
+
+        Parameters
+        ----------
+        path : str or Path
+            The .nwb file.
+        session_start : datetime.datetime or None
+            When the video began, with a time zone; None takes the time of writing.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        MissingPackageError
+            pynwb or ndx-pose is not installed (``pip install 'bendtrack[nwb]'``).
+        ResultsError
+            The file cannot be written.
+        """
+        from .nwb_file import write_nwb
+
+        return write_nwb(self, path, session_start=session_start)
 
 
 def write_results(table: AngleTable, out_dir: str | Path, stem: str) -> tuple[Path, Path, Path]:

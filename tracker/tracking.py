@@ -18,11 +18,12 @@ from typing import Any
 import numpy as np
 
 from .angle import AngleDefinition
+from .hashing import file_sha256
 from .measuring import MIN_LIKELIHOOD, check_points, measure
 from .prefetch import parallel_map, read_ahead
 from .results import AngleTable, json_ready
 from .types import Detections, Detector, Flag, FloatArray, Frames, ImageArray, VideoDetector
-from .video import Video, file_sha256
+from .video import Video
 
 # Batches decoded ahead of those in use, in addition to the one being decoded.
 _BATCHES_AHEAD = 1

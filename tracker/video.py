@@ -6,7 +6,6 @@ video is in `video_writer.py`.
 
 from __future__ import annotations
 
-import hashlib
 import threading
 from collections.abc import Generator
 from dataclasses import dataclass
@@ -305,20 +304,3 @@ def video_stem(path: str | Path) -> str:
     'original 0.25Hz'
     """
     return Path(path).stem
-
-
-def file_sha256(path: str | Path) -> str:
-    """SHA-256 of a file as hexadecimal digits; the file is read in blocks.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-
-    Returns
-    -------
-    str
-        64 hexadecimal digits.
-    """
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

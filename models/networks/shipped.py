@@ -11,7 +11,7 @@ from platformdirs import user_cache_path
 
 from ...tracker.atomic import atomic_path
 from ...tracker.errors import BendtrackError, WeightsError, reason
-from ...tracker.video import file_sha256
+from ...tracker.hashing import file_sha256
 from ..inference.metadata import WEIGHTS_FILE
 
 WEIGHTS = Path(__file__).parent.parent / "weights"

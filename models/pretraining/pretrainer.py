@@ -403,7 +403,5 @@ def _judge(network: Cascade, judged: list[tuple[Sample, PreparedFrame]]) -> tupl
 def _found(network: Cascade, judged: list[tuple[Sample, PreparedFrame]]) -> tuple[Detections, BoolArray]:
     """What both networks together find in pictures, and which keypoints (N, K) can be seen."""
     estimator = network.estimator()
-    found = concatenated(
-        [estimator.detect(sample.image[None], _geometry(frame)) for sample, frame in judged]
-    )
+    found = concatenated([estimator.detect(sample.image[None], _geometry(frame)) for sample, frame in judged])
     return found, np.stack([sample.visible for sample, _ in judged])

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import signal
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -21,6 +22,7 @@ from torch import Tensor
 
 from ...tracker.angle import AngleDefinition, bending_angle
 from ...tracker.errors import LabelError, TrainingError
+from ...tracker.interruption import stop_event
 from ...tracker.types import Detections, FloatArray, LabelledFrame
 from ..data.images import frame_id, read_image
 from ..data.prepared import prepare
@@ -50,6 +52,10 @@ EVALUATE_EVERY = 50
 
 CONSENSUS_FROM = 0.3
 """Share of the steps after which positions follow the averaged network: before, it knows less than a click."""
+
+FINISH_OF_PREPARATION = 1.6
+"""Time from the last step to the checkpoint, as a multiple of the time for the first targets: both find the keypoints
+in all frames and register the moving ends. Measured: 161 s and 104 s on a busy machine."""
 
 REPLAY_FRAMES = 160
 """Rendered frames that a network which knows actuators is shown again: what it knows of them in other light and before
@@ -85,6 +91,7 @@ def train(
     settings: TrainingSettings | None = None,
     *,
     resume: bool = False,
+    started_s: float | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Checkpoint:
     """Train a cascade on labelled frames and save it in `folder`.
@@ -96,6 +103,8 @@ def train(
     definition : the angle, for errors in degrees and for the checkpoint
     folder : receives weights.safetensors, checkpoint.json and training.csv, and while it lasts the state
     resume : go on from the state in `folder`
+    started_s : `time.monotonic()` from which `settings.max_minutes` count, the end of training included; None begins
+        now. Where a state is resumed, the time that was used before it counts too.
 
     Returns
     -------
@@ -110,7 +119,10 @@ def train(
         The loss is not finite, or there is nothing fitting to resume.
     WeightsError
         The starting weights cannot be had.
+    KeyboardInterrupt
+        Ctrl-C. Once the first step has begun, it is finished and its state saved before.
     """
+    started_s = time.monotonic() if started_s is None else started_s
     settings = settings or TrainingSettings()
     labelled = [frame for frame in frames if not np.isnan(frame.xy).all()]
     if not labelled:
@@ -123,7 +135,7 @@ def train(
     trainer = _Trainer(labelled, tuple(keypoints), definition, Path(folder), settings, resume)
     if resume:
         trainer.restore()
-    trainer.run(progress)
+    trainer.run(started_s, progress)
     checkpoint = trainer.finish()
     checkpoint.save(Path(folder))
     trainer.state_file.unlink(missing_ok=True)
@@ -163,6 +175,8 @@ class _Trainer:
         )
         self.schedule = Schedule(settings.steps_for(len(self.trained), self.start), settings.decay_share)
         self.step, self.elapsed_s = 0, 0.0
+        # How long all takes that comes after the last step; measured as soon as there is something to go by.
+        self.finish_s = 0.0
         self.rows: list[dict[str, float]] = []
         self.best: dict[str, Tensor] | None = None
         self.best_step = 0
@@ -248,14 +262,21 @@ class _Trainer:
             digest.update(np.ascontiguousarray(frame.xy, dtype=np.float64).tobytes())
         return digest.hexdigest()
 
-    def run(self, progress: Callable[[Progress], None] | None) -> None:
+    def run(self, started_s: float, progress: Callable[[Progress], None] | None) -> None:
         """Train until the schedule ends."""
-        begun = time.monotonic() - self.elapsed_s
+        begun = started_s - self.elapsed_s
         if self.settings.consensus and self.mapping and self.step == 0:
             known = np.isin(self.keypoints, list(self.mapping))
+            prepared_s = time.monotonic()
             self.targets[self.trained] = self.evidence.known_before(self.pair.average.estimator(), known)
+            self.finish_s = FINISH_OF_PREPARATION * (time.monotonic() - prepared_s)
         limit_s = None if self.settings.max_minutes is None else self.settings.max_minutes * 60
-        with ThreadPoolExecutor(max_workers=1) as pool, self.pair:
+        first_step, first_s = self.step, time.monotonic() - begun
+        with (
+            ThreadPoolExecutor(max_workers=1) as pool,
+            self.pair,
+            stop_event(signal.SIGINT) as stop,
+        ):
             batches = pool.submit(self._batches, self.step)
             while self.step < self.schedule.total:
                 locate, refine = batches.result()
@@ -263,18 +284,26 @@ class _Trainer:
                 loss = self.pair.learn(locate, refine, self.step, self._learning_rate)
                 self.step += 1
                 self.elapsed_s = time.monotonic() - begun
-                if limit_s is not None and self.step >= 10:
-                    self.schedule.fit(self.step, self.elapsed_s, limit_s)
+                if limit_s is not None and self.step >= first_step + 10:
+                    # What came before the first step is paid once, and what comes after the last one too.
+                    step_s = (self.elapsed_s - first_s) / (self.step - first_step)
+                    left_s = max(0.0, limit_s - self.elapsed_s - self.finish_s)
+                    self.schedule.fit(self.step, step_s * self.step, step_s * self.step + left_s)
                 if self.step % EVALUATE_EVERY == 0 or self.step == self.schedule.total:
                     # A batch is drawn from the targets as they are when its step comes: the one drawn ahead is
                     # drawn again when they change, so that a resumed training sees the same.
                     batches.result()
                     self._evaluate(loss)
                     batches = pool.submit(self._batches, self.step)
+                    # An evaluation finds the keypoints once, the end of training twice.
+                    self.finish_s = max(self.finish_s, 2 * (time.monotonic() - begun - self.elapsed_s))
                     self.elapsed_s = time.monotonic() - begun
                     self.save_state()
                 if progress:
                     progress(self._progress(loss))
+                if stop.is_set():
+                    self.save_state()
+                    raise KeyboardInterrupt
 
     def _batches(self, step: int) -> tuple[Batch, list[Batch]]:
         """What the locator and the refiner learn from in a step."""
@@ -394,7 +423,8 @@ class _Trainer:
             ),
             self.pair.learners,
         )
-        write_rows(self.folder, self.rows)
+        if self.rows:  # none before the first evaluation
+            write_rows(self.folder, self.rows)
 
     def restore(self) -> None:
         """Go back to where a killed training last saved its state."""

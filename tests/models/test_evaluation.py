@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +13,7 @@ import pytest
 
 from bendtrack.models.cross_validation import cross_validate, fold_of_each
 from bendtrack.models.evaluation import Evaluation, write_evaluation
-from bendtrack.models.figures import write_figures
+from bendtrack.models.figures import _learning_curve, write_figures
 from bendtrack.models.training.settings import TrainingSettings
 from bendtrack.tracker.angle import AngleDefinition
 from bendtrack.tracker.errors import TrainingError
@@ -63,6 +64,23 @@ def test_files_and_pictures_are_written(
     paths = write_figures(result, rows, tmp_path)
     assert sorted(p.name for p in paths) == ["errors.png", "learning-curve.png", "worst-frames.png"]
     assert all(p.read_bytes().startswith(b"\x89PNG") for p in paths)
+
+
+@pytest.mark.parametrize("losses", [(1.425, 1.41, 1.38), (3.0, 0.5, 0.02), (0.0213, 0.0209, 0.0201)])
+def test_the_learning_curve_has_plain_numbers_on_its_axis(losses: tuple[float, ...]) -> None:
+    rows = [{"step": 50 * i, "loss": loss, "held_out_px": 2 * loss} for i, loss in enumerate(losses, 1)]
+    figure = _learning_curve(rows)
+    figure.canvas.draw()
+    for axes in figure.axes:
+        low, high = axes.get_ylim()
+        labels = [
+            tick.get_text()
+            for place, tick in zip(axes.get_yticks(), axes.get_yticklabels(), strict=True)
+            if low <= place <= high
+        ]
+        assert len(labels) >= 2
+        assert all(re.fullmatch(r"[0-9.]+", label) for label in labels), labels  # 1.42, and no 1.425 x 10^0
+        assert not [tick for tick in axes.get_yticklabels(minor=True) if tick.get_text()]
 
 
 def test_every_frame_is_judged_once_and_actuators_are_spread() -> None:

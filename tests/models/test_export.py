@@ -21,8 +21,8 @@ from bendtrack.models.networks.checkpoint import Checkpoint, load_checkpoint
 from bendtrack.models.networks.end_regressor import EndRegressionNetwork
 from bendtrack.tracker.angle import AngleDefinition
 from bendtrack.tracker.errors import CheckpointError
+from bendtrack.tracker.hashing import file_sha256
 from bendtrack.tracker.project import Project
-from bendtrack.tracker.video import file_sha256
 
 KEYPOINTS = ("base_1", "base_2", "tip_1", "tip_2")
 

@@ -18,11 +18,12 @@ import pytest
 from bendtrack.tracker.angle import AngleDefinition
 from bendtrack.tracker.bookkeeping import is_up_to_date
 from bendtrack.tracker.errors import AngleError, VideoError
+from bendtrack.tracker.hashing import file_sha256
 from bendtrack.tracker.measuring import measure
 from bendtrack.tracker.results import read_results, write_results
 from bendtrack.tracker.tracking import track, tracking_settings
 from bendtrack.tracker.types import Detections, Flag
-from bendtrack.tracker.video import file_sha256, video_stem
+from bendtrack.tracker.video import video_stem
 
 NAMES = ("base_1", "base_2", "tip_1", "tip_2")
 DEFINITION = AngleDefinition("two-vector", NAMES)

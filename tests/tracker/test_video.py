@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from bendtrack.tracker.errors import VideoError
-from bendtrack.tracker.video import Video, file_sha256, read_frame, spread_frames, video_stem
+from bendtrack.tracker.hashing import file_sha256
+from bendtrack.tracker.video import Video, read_frame, spread_frames, video_stem
 
 FRAMES = 60
 

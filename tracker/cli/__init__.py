@@ -1,4 +1,4 @@
-"""The command line. The only place that knows tracker, models and labeling; each is imported inside its command.
+"""The command line: a shell over the front door (`bendtrack/`), which is imported inside each command.
 
 A command takes its arguments apart and calls plain functions; what they report is printed here and nowhere else.
 """
@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Callable
 
 from .angle_command import angle
-from .app import app
+from .app import Command, app
 from .demo_command import demo
 from .doctor_command import doctor
 from .frame_commands import frames, labels
@@ -23,7 +23,7 @@ from .track_command import track
 
 __all__ = ["main"]
 
-_COMMANDS: dict[str, Callable[..., None]] = {  # in the order of --help
+_COMMANDS: dict[str, Callable[..., None]] = {
     "demo": demo,
     "new": new,
     "frames": frames,
@@ -41,12 +41,12 @@ _COMMANDS: dict[str, Callable[..., None]] = {  # in the order of --help
     "doctor": doctor,
 }
 for _name, _command in _COMMANDS.items():
-    app.command(_name)(_command)
+    app.command(_name, cls=Command)(_command)
 app.add_typer(labels, name="labels")
 
 
 def main() -> None:
     """Entry point of the installed command `bendtrack`."""
     if not sys.warnoptions and "--debug" not in sys.argv:
-        warnings.simplefilter("ignore")  # libraries' words to programmers; ours come through `talk`
+        warnings.simplefilter("ignore")  # libraries' words to programmers; ours come through `console`
     app()

@@ -1,4 +1,4 @@
-"""The command `angle`: from video to bending angle without project or labels."""
+"""The command `angle`: angle over time without project or labels."""
 
 from __future__ import annotations
 
@@ -7,32 +7,29 @@ from typing import Annotated
 
 import typer
 
-from .engines import DeviceOption, EngineOption, ThreadsOption, load_network
-from .tracking_runs import (
-    ForceOption,
-    OverlayOption,
-    VideosArgument,
-    check_writable,
-    list_problems,
-    listed_videos,
-    track_videos,
-)
-
-BACKBONE = "resnet18"
+from .arguments import DeviceOption, EngineOption, ForceOption, OverlayOption, ThreadsOption, VideosArgument
+from .outcomes import show_outcomes
 
 
 def angle(
     videos: VideosArgument,
-    out: Annotated[Path, typer.Option(help="Where the results go.")] = Path("bendtrack-angles"),
-    network: Annotated[
+    out: Annotated[Path, typer.Option(help="Folder for the results.", metavar="FOLDER")] = Path(
+        "bendtrack-angles"
+    ),
+    model: Annotated[
         Path | None,
         typer.Option(
-            help="A pretrained network, its folder or file (`bendtrack pretrain`).",
+            help="Folder or file of a pretrained network, as `bendtrack pretrain` writes it.",
+            metavar="NETWORK",
             show_default="the one that comes with bendtrack",
         ),
     ] = None,
+    network: Annotated[Path | None, typer.Option("--network", hidden=True)] = None,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Never learn the actuator first: sooner, fewer frames found.")
+        bool,
+        typer.Option(
+            "--quick", help="Do not adapt the network to this actuator: sooner, but fewer frames found."
+        ),
     ] = False,
     overlay: OverlayOption = False,
     force: ForceOption = False,
@@ -40,17 +37,28 @@ def angle(
     device: DeviceOption = "auto",
     threads: ThreadsOption = None,
 ) -> None:
-    """Measure without labels.
+    """Measure the bending angle without labels.
 
-    Finds the actuator in each video, and which of its ends is fixed: the one that does not move. Where it is not sure
-    of it everywhere, it learns it first, from the frames in which it is: about a minute on two cores. Writes what
-    `track` writes. Exit status 1 when in some video none can be seen; thirty labels are more exact.
+    Finds the actuator in each video, and which of its ends is fixed: the one that does not move. Where the network is
+    not sure of the moving end, it first adapts to this actuator, which takes about a minute on two cores. Writes what
+    `bendtrack track` writes. Thirty labelled frames give more exact angles. The exit status is 1 when no actuator is
+    seen in a video.
     """
-    from ...models.networks.shipped import working_copy
+    from ...measuring import measure_each
+    from ..batch import listed_videos
+    from .reporter import ConsoleReporter
 
-    paths = listed_videos(videos)
-    check_writable(out)
-    detector = load_network(
-        network or working_copy(BACKBONE), engine, device, threads, self_training=not quick
+    show_outcomes(
+        measure_each(
+            listed_videos(videos),
+            out,
+            model=model or network,
+            adapt=not quick,
+            overlay=overlay,
+            force=force,
+            engine=engine,
+            device=device,
+            threads=threads,
+            reporter=ConsoleReporter(),
+        )
     )
-    list_problems(track_videos(detector, None, paths, out, overlay=overlay, force=force), paths)

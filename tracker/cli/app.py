@@ -1,4 +1,4 @@
-"""What all commands share: global options, errors in one line, exit statuses.
+"""What all commands share: global options, help in groups, errors in one line, exit statuses.
 
 0 all done; 1 some inputs failed, the others are done; 2 wrong use or an input that cannot be used;
 130 interrupted.
@@ -11,13 +11,24 @@ import traceback
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from ..errors import BendtrackError
-from . import talk
+from . import console
 
 INTERRUPTED = 130
 _ANYWHERE = ("--quiet", "--debug")
+
+COMMAND_GROUPS: dict[str, tuple[str, ...]] = {
+    "To try it": ("demo", "angle", "render", "doctor"),
+    "A project and its labels": ("new", "frames", "label", "labels", "import", "export"),
+    "A network": ("train", "evaluate", "pretrain"),
+    "Bending angles": ("track", "live"),
+    "A study": ("analyze",),
+}
+"""The commands as --help lists them."""
+
+_NEEDS_TORCH = ("torch", "torchvision", "nncf")
 
 
 class _Group(TyperGroup):
@@ -30,29 +41,79 @@ class _Group(TyperGroup):
         others = [arg for arg in args[:end] if arg not in _ANYWHERE]
         return super().parse_args(ctx, [*switches, *others, *args[end:]])
 
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """List the commands in groups, each with the first sentence of its help."""
+        names = [name for group in COMMAND_GROUPS.values() for name in group]
+        width = max(map(len, names))
+        for title, group in COMMAND_GROUPS.items():
+            # Read from the left as one column, however long the names of a group are.
+            rows = [
+                (name.ljust(width), command.get_short_help_str(limit=200))
+                for name in group
+                if (command := self.get_command(ctx, name)) is not None
+            ]
+            with formatter.section(title):
+                formatter.write_dl(rows)
+
     def invoke(self, ctx: Any) -> Any:
         try:
             return super().invoke(ctx)
         except BrokenPipeError:
             raise
-        except KeyboardInterrupt:
-            talk.complain("interrupted; what was finished is kept, nothing was left half-written")
+        except KeyboardInterrupt as interrupt:
+            console.complain(
+                str(interrupt) or "interrupted; finished files are kept, no file is half-written"
+            )
             raise typer.Exit(INTERRUPTED) from None
+        except ModuleNotFoundError as error:
+            missing = (error.name or "").partition(".")[0]
+            if missing not in _NEEDS_TORCH:
+                raise
+            _tell(error, f"this needs {missing}, which is not installed: pip install bendtrack")
+            raise typer.Exit(BendtrackError.exit_status) from None
         except (BendtrackError, OSError) as error:
-            if talk.debugging():
-                traceback.print_exception(error)
-            talk.complain(_one_line(error))
+            _tell(error, _one_line(error))
             raise typer.Exit(getattr(error, "exit_status", BendtrackError.exit_status)) from None
+
+
+class Command(TyperCommand):
+    """A command whose help calls arguments what people write, without types and braces."""
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """[OPTIONS] and the arguments, called as in the help below."""
+        return ["[OPTIONS]", *(_called(argument) for argument in self._arguments(ctx))]
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """List arguments and options, each with its sentence."""
+        arguments = [(_called(argument), _explained(argument)) for argument in self._arguments(ctx)]
+        if arguments:
+            with formatter.section("Arguments"):
+                formatter.write_dl(arguments)
+        options = [p for p in self.get_params(ctx) if p.param_type_name == "option"]
+        records = [record for p in options if (record := p.get_help_record(ctx)) is not None]
+        with formatter.section("Options"):
+            formatter.write_dl(records)
+
+    def _arguments(self, ctx: Any) -> list[Any]:
+        return [p for p in self.get_params(ctx) if p.param_type_name == "argument"]
+
+
+def _called(argument: Any) -> str:
+    return str(argument.metavar or argument.name.upper())
+
+
+def _explained(argument: Any) -> str:
+    default = argument.show_default
+    return f"{argument.help}  [default: {default}]" if isinstance(default, str) else str(argument.help)
 
 
 app = typer.Typer(
     cls=_Group,
     no_args_is_help=True,
-    add_completion=False,
     # Plain help: rich's takes longer to load than all the rest.
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
-    epilog="--quiet and --debug may stand before or after a command.",
+    epilog="--quiet and --debug may stand before or after a command. `bendtrack COMMAND --help` explains a command.",
 )
 
 
@@ -66,10 +127,13 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def _bendtrack(
-    quiet: Annotated[bool, typer.Option("--quiet", help="Only results, warnings and errors.")] = False,
-    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
+    context: typer.Context,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print only results, warnings and errors.")] = False,
+    debug: Annotated[
+        bool, typer.Option("--debug", help="Print details, and the traceback of an error.")
+    ] = False,
     version: Annotated[
-        bool, typer.Option("--version", help="Show the version.", callback=_version, is_eager=True)
+        bool, typer.Option("--version", help="Print the version.", callback=_version, is_eager=True)
     ] = False,
 ) -> None:
     """Bending angles of soft actuators from plain video, without markers.
@@ -77,11 +141,18 @@ def _bendtrack(
     Label about thirty frames, train a network on them, track videos: angle over time, with its uncertainty.
     `bendtrack demo` shows the whole job in a few minutes.
     """
-    talk.configure(quiet=quiet, debug=debug)
+    words = () if context.invoked_subcommand is None else (context.invoked_subcommand,)
+    console.configure(quiet=quiet, debug=debug, words=words)
     for stream in (sys.stdout, sys.stderr):
         # A file name or a sign that the terminal's encoding lacks must not end a run.
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
+
+
+def _tell(error: BaseException, line: str) -> None:
+    if console.debugging():
+        traceback.print_exception(error)
+    console.complain(line)
 
 
 def _one_line(error: BaseException) -> str:

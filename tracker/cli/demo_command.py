@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import BendtrackError
-from . import model_folders, talk
+from . import console
 
 if TYPE_CHECKING:
     from ..results import AngleTable
@@ -22,61 +22,60 @@ _MAX_MINUTES = 3.5
 
 
 def demo(
-    out: Annotated[Path, typer.Option(help="A new folder, or that of an earlier demo.")] = Path(
-        "bendtrack-demo"
-    ),
+    out: Annotated[
+        Path, typer.Option(help="A new folder, or the folder of an earlier demo.", metavar="FOLDER")
+    ] = Path("bendtrack-demo"),
 ) -> None:
-    """The whole job on a bundled sample trial.
+    """Do the whole job on a bundled sample trial.
 
-    Labels, network, angles, figure, overlay, and how far all that is from the truth, in a few minutes.
-
-    Called again, it goes on where it was stopped, or shows what is there.
+    Labels, network, angles, figure, overlay video, and the errors against the exact truth, in a few minutes. Run it
+    again to go on where it was stopped.
     """
     from ...labeling.interop.dlc import import_dlc, project_for
+    from ...model_folders import finished, unfinished
+    from ...project import Project
+    from ..batch import OVERLAY_SUFFIX
     from ..results import read_results
-    from .engines import load_network
-    from .network_commands import project_settings, train_network
+    from .network_commands import show_training
+    from .outcomes import show_outcomes
     from .project_commands import print_report
-    from .tracking_runs import track_videos
+    from .reporter import ConsoleReporter
 
     begun = time.monotonic()
     trial = out / "trial"
     video = trial / "video.mp4"
-    talk.say("1. A project with the labels of 30 frames")
-    project = project_for(out, sample_folder() / "labels.csv")
+    console.say("1. A project with the labels of 30 frames")
+    folder = project_for(out, sample_folder() / "labels.csv")
+    project = Project(folder, ConsoleReporter())
     _copy_sample(trial)
-    print_report(import_dlc(trial / "labels.csv", project, videos=[video]))
+    print_report(import_dlc(trial / "labels.csv", folder, videos=[video]))
 
-    talk.say("\n2. A network, trained on them")
-    networks, stopped = model_folders.finished(project), model_folders.unfinished(project)
+    console.say("\n2. A network, trained on them")
+    networks, stopped = finished(folder), unfinished(folder)
     if networks:
         network = networks[-1]
-        talk.say(f"'{network.name}' is trained already")
+        console.say(f"'{network.name}' is trained already")
+    elif stopped:
+        network = project.train(stopped[-1].name, resume=True).folder
     else:
-        network = stopped[-1] if stopped else model_folders.new_folder(project, None, False)
-        train_network(
-            project, network, project_settings(project, {"max_minutes": _MAX_MINUTES}), resume=bool(stopped)
-        )
+        trained = project.train(max_minutes=_MAX_MINUTES)
+        show_training(trained)
+        network = trained.folder
 
-    talk.say("\n3. The angle in every frame of the video")
-    detector = load_network(network)
-    problems = track_videos(
-        detector, detector.metadata.definition, [video], project.results_dir, overlay=True
-    )
-    if problems:
-        raise BendtrackError(f"{video}: {problems[video]}")
+    console.say("\n3. The angle in every frame of the video")
+    show_outcomes(project.track_each([video], model=network.name, overlay=True))
 
-    table = read_results(project.results_dir / "video.h5")
-    talk.say(f"\n4. Beside the truth ({time.monotonic() - begun:.0f} s in all)")
+    table = read_results(folder.results_dir / "video.h5")
+    console.say(f"\n4. Beside the truth ({time.monotonic() - begun:.0f} s in all)")
     _compare(table, trial / "truth.csv", network)
-    results = project.results_dir
-    talk.show(
+    results = folder.results_dir
+    console.show(
         f"table    {results / 'video.csv'} (and .h5, .json)\n"
         f"figure   {results / 'video.png'}\n"
-        f"overlay  {results / 'video.mp4'}\n"
+        f"overlay  {results / f'video{OVERLAY_SUFFIX}'}\n"
         f"network  {network} (its errors: errors.png, worst-frames.png)"
     )
-    talk.say(
+    console.say(
         "\nYour own videos:\n"
         "    bendtrack new my-study\n"
         "    bendtrack frames my-study VIDEO...\n"
@@ -136,7 +135,7 @@ def _compare(table: AngleTable, truth_path: Path, network: Path) -> None:
         end_vector_px(exact, table.keypoints, table.definition),
     )
     angle = truth["angle_deg"]
-    talk.show(
+    console.show(
         f"angle    {angle.min():.0f} to {angle.max():.0f}° in {len(table)} frames; RMS error {rms:.2f}°,"
         f" {int((~known).sum())} frames without an angle\n"
         f"         (label-noise floor {floor:.2f}°: the labels are {_LABEL_NOISE_PX:g} px off,"

@@ -12,7 +12,7 @@ from pathlib import Path
 import typer
 
 from ..errors import BendtrackError
-from . import talk
+from . import console
 
 _PACKAGES = (
     "av",
@@ -29,7 +29,7 @@ _BACKBONES_SHOWN = ("resnet18", "resnet34", "resnet50")
 
 
 def doctor() -> None:
-    """Say what is installed and what would be used."""
+    """Check the installation: packages, devices, codecs, networks."""
     import torch
 
     from ...models.networks.checkpoint import best_device
@@ -66,9 +66,9 @@ def doctor() -> None:
     lines.append(("train would use", f"{settings.backbone} from {start} weights on {device}"))
     width = max(len(what) for what, _ in lines)
     for what, words in lines:
-        talk.show(f"{what:{width}}  {words}")
+        console.show(f"{what:{width}}  {words}")
     if trouble:
-        talk.complain(f"not working: {', '.join(trouble)}")
+        console.complain(f"not working: {', '.join(trouble)}")
         raise typer.Exit(1)
 
 

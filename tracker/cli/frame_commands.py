@@ -1,4 +1,4 @@
-"""Commands about pictures to label: frames, and labels check."""
+"""Commands about frames to label: frames, and labels check."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Annotated
 
 import typer
 
-from . import talk
-from .project_commands import ProjectArgument
-from .tracking_runs import VideosArgument, listed_videos
+from . import console
+from .app import Command
+from .arguments import ProjectArgument, VideosArgument, opened
 
 
 class Spread(StrEnum):
@@ -25,51 +25,54 @@ def frames(
     project: ProjectArgument,
     videos: VideosArgument,
     actuator: Annotated[
-        str | None, typer.Option(help="Which actuator they show.", show_default="as bendtrack.toml says")
+        str | None,
+        typer.Option(
+            help="Name of the actuator that the videos show.",
+            metavar="NAME",
+            show_default="as bendtrack.toml says",
+        ),
     ] = None,
-    count: Annotated[int, typer.Option(help="New pictures of each actuator, over all its videos.")] = 30,
+    count: Annotated[
+        int,
+        typer.Option(help="Number of new images for each actuator, over all its videos.", metavar="N"),
+    ] = 30,
     pressure: Annotated[
         list[Path] | None,
         typer.Option(
-            help="Pressure log, on the video's clock. For several videos: once for each, in their order, or a"
-            " folder with logs named like the videos."
+            help="Pressure log, on the clock of the video. For several videos: give it once for each video, in"
+            " their order, or give a folder with logs named like the videos.",
+            metavar="LOG",
         ),
     ] = None,
     by: Annotated[
         Spread | None,
-        typer.Option(help="What to spread them over.", show_default="pressure with a log, else appearance"),
+        typer.Option(
+            help="What to spread the frames over: pressure, appearance or time.",
+            metavar="WHAT",
+            show_default="pressure with a log, else appearance",
+        ),
     ] = None,
 ) -> None:
     """Choose frames to label that span the whole range of motion.
 
-    They are saved as pictures in labeled-data/. Blurred, damaged and equal frames are passed over. Once more, and
-    further frames fill the gaps that are left. Exit status 1 when a video could not be used.
+    They are saved as images in labeled-data/. Blurred and damaged frames are skipped, and so are frames that look the
+    same. When the command is run again, further frames fill the gaps. The exit status is 1 when a video could not be
+    used.
     """
-    from ...labeling.frame_extraction import extract_frames
-    from ...labeling.video_scan import SampleBy
-    from ..project import Project
-    from . import progress_bars
-
-    report = extract_frames(
-        Project.open(project),
-        listed_videos(videos),
-        count=count,
-        by=None if by is None else SampleBy(by),
-        pressure_logs=pressure or (),
-        actuator=actuator,
-        counting=progress_bars.counting,
+    report = opened(project, *videos).add_frames(
+        videos, count=count, by=by, pressure=pressure or (), actuator=actuator
     )
     for warning in report.warnings:
-        talk.warn(warning)
+        console.warn(warning)
     for video, pictures in report.saved.items():
-        talk.say(f"{video}: {len(pictures)} pictures -> {pictures[0].parent}")
+        console.say(f"{video}: {len(pictures)} pictures -> {pictures[0].parent}")
     for name, (new, in_all) in report.actuators.items():
-        talk.say(f"{name}: {new} new pictures to label, {in_all} in all")
+        console.say(f"{name}: {new} new pictures to label, {in_all} in all")
     for video, problem in report.failed.items():
-        talk.complain(f"{video}: {problem}")
+        console.complain(f"{video}: {problem}")
     if report.failed:
         raise typer.Exit(1 if report.saved else 2)
-    talk.say(f"Next: bendtrack label {project}")
+    console.say(f"Next: {console.command('label', project)}")
 
 
 labels = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Look for mistakes in labels.")
@@ -80,23 +83,24 @@ def _labels() -> None:
     """Look for mistakes in labels."""
 
 
-@labels.command("check")
+@labels.command("check", cls=Command)
 def check(project: ProjectArgument) -> None:
     """Look for mistakes in the labels.
 
-    Missing points, points outside or at one place, swapped ends, jumps in length, points far from where the other
-    labels put them, a picture labelled twice. Each comes with what opens it on the label page (#VIDEO/IMAGE). Exit
-    status 1 when there is something to look at.
+    Missing points, points outside the image, two points at one place, swapped ends, jumps in length, points far from
+    where the other labels put them, an image labelled twice. Each finding comes with the address that opens it on the
+    label page (#VIDEO/IMAGE). The exit status is 1 when something was found.
     """
     from ...labeling.checks import check_labels
-    from ..project import Project
 
-    report = check_labels(Project.open(project))
+    report = check_labels(opened(project).folder)
     for note in report.notes:
-        talk.warn(note)
+        console.warn(note)
     for finding in report.findings:
-        talk.show(f"{finding.image_path}: {finding.problem}: {finding.message}  {finding.link}")
+        console.show(f"{finding.image_path}: {finding.problem}: {finding.message}  {finding.link}")
     count = len(report.findings)
-    talk.say(f"{report.labelled} labelled frames: {f'{count} to look at' if count else 'nothing to look at'}")
+    console.say(
+        f"{report.labelled} labelled frames: {f'{count} to look at' if count else 'nothing to look at'}"
+    )
     if count:
         raise typer.Exit(1)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import BendtrackError, CheckpointError
-from . import model_folders, talk
-from .project_commands import ProjectArgument
+from . import console
+from .arguments import ProjectArgument, opened
 
 if TYPE_CHECKING:
     from ...labeling.predictions import Network
@@ -22,41 +22,57 @@ def label(
     project: ProjectArgument,
     port: Annotated[
         int | None,
-        typer.Option(help="Where to listen.", show_default="as the last time, or any", min=1, max=65535),
+        typer.Option(
+            help="Port of the page on this machine.",
+            metavar="PORT",
+            show_default="the last one used, or any free one",
+            min=1,
+            max=65535,
+        ),
     ] = None,
-    no_browser: Annotated[bool, typer.Option("--no-browser", help="Only say the address.")] = False,
+    no_browser: Annotated[
+        bool, typer.Option("--no-browser", help="Only print the address; open no browser.")
+    ] = False,
     model: Annotated[
         str | None,
-        typer.Option(help="Network whose predictions are shown; 'none' for none.", show_default="the newest"),
+        typer.Option(
+            help="Name of the network whose predictions are shown; 'none' shows none.",
+            metavar="NAME",
+            show_default="the newest",
+        ),
     ] = None,
     repeats: Annotated[
         float | None,
         typer.Option(
-            help="Share of the labelled frames that comes back blind.", show_default="0.1", min=0, max=1
+            help="Share of the labelled frames that are shown once more without their labels, to measure your own"
+            " spread.",
+            metavar="SHARE",
+            show_default="0.1",
+            min=0,
+            max=1,
         ),
     ] = None,
 ) -> None:
     """Label frames on a page in the browser.
 
-    The page is served on this machine only, and needs no network. Every edit is saved at once; several pages,
-    and several servers, can be open on one project.
+    The page is served on this machine only, and needs no internet. Every edit is saved at once. Several pages, and
+    several servers, can be open on one project.
     """
     from ...labeling.serving import serve_labelling
-    from ..project import Project
 
-    opened = Project.open(project)
+    folder = opened(project).folder
 
     def ready(new_address: Callable[[], str]) -> None:
         if not no_browser:
             _open_browser(new_address())
-        talk.show(f"Labelling {opened.root} at {new_address()}")
-        talk.say("The address opens the page once. Everything is saved at once; Ctrl+C ends the server.")
+        console.show(f"Labelling {folder.root} at {new_address()}")
+        console.say("The address opens the page once. Everything is saved at once; Ctrl+C ends the server.")
 
     more = {} if repeats is None else {"repeat_share": repeats}
     try:
-        serve_labelling(opened, port=port, network=_network(opened, model), ready=ready, **more)
+        serve_labelling(folder, port=port, network=_network(folder, model), ready=ready, **more)
     except KeyboardInterrupt:
-        talk.say("Ended; all labels are saved.")  # the usual end, so status 0
+        console.say("Ended; all labels are saved.")  # the usual end, so status 0
 
 
 def _open_browser(address: str) -> None:
@@ -71,9 +87,9 @@ def _network(project: Project, name: str | None) -> Network | None:
     """The network of that name or the newest; None where there is none, or none is wanted."""
     if name == "none" or (name is None and not _has_models(project.models_dir)):
         return None
+    from ... import model_folders
     from ...labeling.predictions import Network
 
-    # Which file holds the weights is known to the package that needs seconds to load.
     try:
         folder = model_folders.chosen(project, name)
     except CheckpointError:
@@ -81,7 +97,7 @@ def _network(project: Project, name: str | None) -> Network | None:
             raise
         return None
     from ...models.inference.metadata import WEIGHTS_FILE
-    from ..video import file_sha256
+    from ..hashing import file_sha256
 
     def load() -> Detector:
         from ...models.detector import NetworkDetector

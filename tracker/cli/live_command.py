@@ -6,7 +6,6 @@ import gc
 import os
 import signal
 import sys
-import threading
 import time
 from array import array
 from collections.abc import Generator, Iterator
@@ -18,9 +17,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import BendtrackError, ResultsError
-from . import model_folders, talk
-from .engines import DeviceOption, EngineOption, ModelOption, load_network, measured_angle
-from .project_commands import ProjectArgument
+from . import console
+from .arguments import DeviceOption, EngineOption, ModelOption, ProjectArgument, opened
 from .render_command import size_wh
 
 if TYPE_CHECKING:
@@ -44,65 +42,112 @@ def live(
     source: Annotated[
         str | None,
         typer.Argument(
-            help="A camera's number or name, a video file, or an RTSP or HTTP URL.",
+            help="Number or name of a camera, a video file, or an RTSP or HTTP URL.",
             metavar="[SOURCE]",
             show_default="the first camera",
         ),
     ] = None,
     udp: Annotated[
         str | None,
-        typer.Option(help="HOST:PORT that also gets each value, a datagram each.", metavar="ADDRESS"),
+        typer.Option(
+            help="Also send each value to this address, one UDP datagram each.",
+            metavar="HOST:PORT",
+            show_default="no datagrams",
+        ),
     ] = None,
-    format: Annotated[LineFormat, typer.Option(help="Of the values.")] = LineFormat.CSV,
+    format: Annotated[
+        LineFormat, typer.Option(help="Format of the values: csv or jsonl.", metavar="FORMAT")
+    ] = LineFormat.CSV,
     duration: Annotated[
-        float | None, typer.Option(help="End after so many seconds.", min=0, show_default="Ctrl-C or the end")
+        float | None,
+        typer.Option(
+            help="End after this many seconds.",
+            metavar="SECONDS",
+            min=0,
+            show_default="at Ctrl-C or the end of the source",
+        ),
     ] = None,
     out: Annotated[
-        str | None, typer.Option(help="Also write a table of that name into PROJECT/results, at the end.")
+        str | None,
+        typer.Option(
+            help="At the end, write a table of this name into PROJECT/results.",
+            metavar="NAME",
+            show_default="no table",
+        ),
     ] = None,
-    size: Annotated[str | None, typer.Option(help="Of the camera's frames, px, such as 640x480.")] = None,
-    rate: Annotated[float | None, typer.Option(help="Of the camera, frames/s.", min=0.1)] = None,
+    size: Annotated[
+        str | None,
+        typer.Option(
+            help="Size of the camera's frames in px, such as 640x480.",
+            metavar="WIDTHxHEIGHT",
+            show_default="the camera's own",
+        ),
+    ] = None,
+    rate: Annotated[
+        float | None,
+        typer.Option(
+            help="Frame rate of the camera, frames/s.", metavar="HZ", min=0.1, show_default="the camera's own"
+        ),
+    ] = None,
     camera_format: Annotated[
-        str | None, typer.Option(help="As FFmpeg calls it; many cameras reach 60 frames/s only as mjpeg.")
+        str | None,
+        typer.Option(
+            help="Pixel format of the camera, as FFmpeg calls it. Many cameras reach 60 frames/s only with mjpeg.",
+            metavar="NAME",
+            show_default="the camera's own",
+        ),
     ] = None,
     model: ModelOption = None,
     engine: EngineOption = "auto",
     device: DeviceOption = "auto",
     threads: Annotated[
-        int | None, typer.Option(min=1, help="Cores for the network.", show_default="all, at most 4")
+        int | None,
+        typer.Option(
+            min=1,
+            help="Number of processor cores for the network.",
+            metavar="N",
+            show_default="all, at most 4",
+        ),
     ] = None,
 ) -> None:
-    """Measure as it is filmed, for closed-loop control.
+    """Measure a camera's angle while it films, for closed-loop control.
 
-    Prints a line with the bending angle as soon as it is known; words for people go to stderr. The newest frame is
-    measured, older ones are passed over, so it never falls behind. A file is played in real time. Ends with Ctrl-C.
+    Prints a line with the bending angle as soon as it is known; messages for people go to stderr. The newest frame is
+    measured and older ones are dropped, so the values never fall behind. A file is played in real time. Ctrl-C ends it.
     """
-    talk.leave_stdout_to_programs()
+    console.leave_stdout_to_programs()
+    from ... import model_folders
+    from ...measuring import network_line
+    from ...networks import load_network, measured_angle
+    from ..interruption import stop_event
     from ..live.low_latency import measure_live
     from ..live.output import UdpTarget
     from ..live.sources import open_source
-    from ..project import Project
+    from .reporter import ConsoleReporter
 
-    opened = Project.open(project)
+    reporter = ConsoleReporter()
+    folder = opened(project, *(() if source is None else (source,))).folder
     if out is not None:
-        _check_free(opened, out)
+        _check_free(folder, out)
     mode = _camera_mode(size, rate, camera_format)
     target = None if udp is None else UdpTarget(udp)
-    network = load_network(model_folders.chosen(opened, model), engine, device, threads, low_latency=True)
-    definition = measured_angle(opened, network)
+    network = load_network(
+        model_folders.chosen(folder, model), engine, device, threads, low_latency=True, reporter=reporter
+    )
+    definition = measured_angle(folder, network, reporter)
     options: dict[str, Any] = {}
-    if opened.settings.tracking.min_likelihood is not None:
-        options["min_likelihood"] = opened.settings.tracking.min_likelihood
+    if folder.settings.tracking.min_likelihood is not None:
+        options["min_likelihood"] = folder.settings.tracking.min_likelihood
     filmed = open_source(source, mode)  # last, for a camera that runs and is not read falls behind
     if rate is not None and filmed.rate is not None and abs(filmed.rate - rate) > 0.01 * rate:
-        talk.warn(f"{filmed.name} delivers {filmed.rate:g} frames/s, not {rate:g}")
-    talk.say(f"Network: {network.name} ({network.metadata.backbone}, {network.engine} on {network.device})")
-    talk.say(f"Source: {filmed.name}, {filmed.size_wh[0]} x {filmed.size_wh[1]} px; Ctrl-C ends it")
+        console.warn(f"{filmed.name} delivers {filmed.rate:g} frames/s, not {rate:g}")
+    console.say(network_line(network))
+    console.say(f"Source: {filmed.name}, {filmed.size_wh[0]} x {filmed.size_wh[1]} px; Ctrl-C ends it")
 
-    kept = None if out is None else _Kept(opened.results_dir, out, filmed, network, definition, options)
+    kept = None if out is None else _Kept(folder.results_dir, out, filmed, network, definition, options)
     tally = _Tally()
     try:
-        with _little_to_sweep(), _stopped_by_signals() as stop, target or nullcontext():
+        with _little_to_sweep(), stop_event(signal.SIGINT, signal.SIGTERM) as stop, target or nullcontext():
             values = measure_live(filmed, network, definition, duration_s=duration, stop=stop, **options)
             with closing(values):
                 for value in _told(values, format, target):
@@ -110,9 +155,9 @@ def live(
                     if kept is not None:
                         kept.recording.add(value)
     finally:
-        talk.say(tally.line())
+        console.say(tally.line())
         for warning in filmed.warnings:
-            talk.warn(f"{filmed.name}: {warning}")
+            console.warn(f"{filmed.name}: {warning}")
         if kept is not None and tally.latency_ms:
             kept.write()
 
@@ -199,7 +244,7 @@ class _Kept:
         figure_path = csv_path.with_suffix(".png")
         write_angle_figure(table, figure_path)
         record_file(self._folder, self._stem, figure_path)
-        talk.say(f"{len(table)} frames -> {csv_path}")
+        console.say(f"{len(table)} frames -> {csv_path}")
 
 
 @contextmanager
@@ -211,25 +256,6 @@ def _little_to_sweep() -> Iterator[None]:
         yield
     finally:
         gc.unfreeze()
-
-
-@contextmanager
-def _stopped_by_signals() -> Iterator[threading.Event]:
-    """An event that Ctrl-C and SIGTERM set; a second one ends the program in its usual way."""
-    stop = threading.Event()
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-
-    def end(number: int, frame: object) -> None:
-        stop.set()
-        signal.signal(number, before[signal.Signals(number)])
-
-    for number in before:
-        signal.signal(number, end)
-    try:
-        yield stop
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _camera_mode(size: str | None, rate: float | None, format: str | None) -> CameraMode | None:

@@ -12,7 +12,7 @@ from rich.progress import BarColumn, ProgressColumn, Task, TextColumn, TimeRemai
 from rich.progress import Progress as Bars
 from rich.text import Text
 
-from . import talk
+from . import console
 
 if TYPE_CHECKING:
     from ...models.training.trainer import Progress
@@ -39,7 +39,7 @@ class _Count(ProgressColumn):
 @contextmanager
 def counting(title: str, unit: str = "frames") -> Iterator[Callable[[int, int | None], None]]:
     """Yields what is to be called with the number done and the number in all (None: not known)."""
-    if not talk.shows_progress():
+    if not console.shows_progress():
         yield lambda done, total: None
         return
     columns = (
@@ -57,7 +57,7 @@ def counting(title: str, unit: str = "frames") -> Iterator[Callable[[int, int | 
 @contextmanager
 def training(title: str) -> Iterator[Callable[[Progress], None]]:
     """Yields what is to be called with the progress of a training."""
-    if not talk.shows_progress():
+    if not console.shows_progress():
         yield lambda progress: None
         return
     columns = (

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ..errors import BendtrackError
-from . import talk
+from . import console
 
 
 def render(
@@ -65,9 +65,9 @@ def render(
         write_labels(trial, out / "labels.csv", frames, xy)
     made = f"{out}: {len(trial.time_s)} frames, {trial.angle_deg.min():.1f} to {trial.angle_deg.max():.1f}°"
     # A staircase rises once: there is no loop to speak of.
-    talk.say(made if wave == "staircase" else f"{made}, hysteresis ratio {trial.hysteresis_ratio:g}")
+    console.say(made if wave == "staircase" else f"{made}, hysteresis ratio {trial.hysteresis_ratio:g}")
     if labels:
-        talk.say(f"Next: bendtrack import PROJECT {out / 'labels.csv'} --video {trial.video_path}")
+        console.say(f"Next: bendtrack import PROJECT {out / 'labels.csv'} --video {trial.video_path}")
 
 
 def size_wh(text: str) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""The command `track`: which videos, which network, and what is said in the end."""
+"""The command `track`: angle over time with a project's network."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from typing import Annotated
 
 import typer
 
-from . import model_folders
-from .engines import DeviceOption, EngineOption, ModelOption, ThreadsOption, load_network, measured_angle
-from .project_commands import ProjectArgument
-from .tracking_runs import (
+from .arguments import (
+    DeviceOption,
+    EngineOption,
     ForceOption,
+    ModelOption,
     OverlayOption,
+    ProjectArgument,
+    ThreadsOption,
     VideosArgument,
-    check_writable,
-    list_problems,
-    listed_videos,
-    track_videos,
+    opened,
 )
+from .outcomes import show_outcomes
 
 
 def track(
@@ -26,7 +26,8 @@ def track(
     videos: VideosArgument,
     model: ModelOption = None,
     out: Annotated[
-        Path | None, typer.Option(help="Where the results go.", show_default="PROJECT/results")
+        Path | None,
+        typer.Option(help="Folder for the results.", metavar="FOLDER", show_default="PROJECT/results"),
     ] = None,
     overlay: OverlayOption = False,
     force: ForceOption = False,
@@ -36,23 +37,19 @@ def track(
 ) -> None:
     """Measure the bending angle over time in videos.
 
-    Writes a table (CSV, HDF5), a figure, and how they came about (JSON). What is up to date is passed over: the same
-    video, network and settings. Exit status 1 when a video failed or is damaged; the others are done.
+    Writes for each video a table (NAME.csv, NAME.h5), a figure (NAME.png) and how they came about (NAME.json). A video
+    is skipped when its results are up to date: same video, same network, same settings. The exit status is 1 when a
+    video failed or is damaged; the others are done.
     """
-    from ..project import Project
-
-    opened = Project.open(project)
-    paths = listed_videos(videos)
-    folder = out or opened.results_dir
-    check_writable(folder)
-    network = load_network(model_folders.chosen(opened, model), engine, device, threads)
-    problems = track_videos(
-        network,
-        measured_angle(opened, network),
-        paths,
-        folder,
-        overlay=overlay,
-        force=force,
-        min_likelihood=opened.settings.tracking.min_likelihood,
+    show_outcomes(
+        opened(project, *videos).track_each(
+            videos,
+            model=model,
+            out=out,
+            overlay=overlay,
+            force=force,
+            engine=engine,
+            device=device,
+            threads=threads,
+        )
     )
-    list_problems(problems, paths)

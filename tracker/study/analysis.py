@@ -218,7 +218,8 @@ class _TableRows:
         self.static.append(self._row(trial, numbers))
 
     def _row(self, trial: TrialData, numbers: object) -> dict[str, Any]:
-        of_trial = (trial.name, trial.design, str(trial.kind), trial.frequency_hz, trial.pressure_pp_kpa)
+        nominal = (NAN if value is None else value for value in (trial.frequency_hz, trial.pressure_pp_kpa))
+        of_trial = (trial.name, trial.design, str(trial.kind), *nominal)
         return {**dict(zip(_TRIAL_COLUMNS, of_trial, strict=True)), **_flat(numbers, self.confidence)}
 
     def _warn(self, trial: TrialData, warnings: Iterable[str]) -> None:

@@ -13,10 +13,11 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from ..errors import ResultsError, StudyError
+from ..hashing import file_sha256
 from ..project import SETTINGS_FILE
 from ..results import AngleTable, read_record, read_results
 from ..types import Flag, FloatArray
-from ..video import file_sha256, video_stem
+from ..video import video_stem
 
 _OWN_HEADER = "frame,time_s,angle_deg,angle_sd_deg,flag"
 _TABLES = (".h5", ".csv", ".json")

@@ -16,6 +16,7 @@ import h5py
 import tomlkit
 
 from ..errors import PressureLogError, StudyError
+from ..project import SETTINGS_FILE
 from ..project_settings import VIDEO_SUFFIXES
 from .csv_log import csv_columns
 from .designs import DesignSettings, design_colours, known_design
@@ -39,6 +40,8 @@ _REPEAT = re.compile(
 )
 _SKIPPED = ("labeled-data", "figures", "tables", "report", "node_modules")
 _MAX_FILES = 5000
+_WEIGHTS = "weights.safetensors"
+"""In the folder of every trained network (`bendtrack.models`)."""
 
 
 @dataclass
@@ -51,6 +54,7 @@ class _TrialFiles:
     repeat: str = ""
     frequency_hz: float | None = None
     pressure_pp_kpa: float | None = None
+    static: bool = False
 
 
 def first_study_file(folder: str | Path) -> str:
@@ -84,10 +88,10 @@ def first_study_file(folder: str | Path) -> str:
         kind = _kind(path)
         if kind is None:
             continue
-        found = _by_name(relative)
-        if found is None or kind == "unknown":
+        if kind == "unknown":
             left.append(relative)
             continue
+        found = _by_name(relative) or _TrialFiles(stem=_trial_stem(path), design=_trial_stem(path))
         trial = trials.setdefault(_key(found), found)
         known = trial.files.get(kind)
         # The exact .h5 of a table is preferred to its .csv; otherwise a second file of one kind is left out.
@@ -98,18 +102,39 @@ def first_study_file(folder: str | Path) -> str:
     whole = [t for t in trials.values() if "log" in t.files and {"angles", "video"} & set(t.files)]
     left += [file for t in trials.values() if t not in whole for file in t.files.values()]
     if not whole:
-        raise StudyError(
-            f"{folder}: expected pressure logs and angle tables (or videos) of the same names, such as "
-            f"original_0.0625Hz_45kPa.csv; found {', '.join(left[:5]) or 'neither'}{', ...' if len(left) > 5 else ''}"
-        )
+        raise StudyError(_why_none(folder, list(trials.values()), left))
     whole.sort(key=lambda t: (t.design, t.frequency_hz or 0, t.pressure_pp_kpa or 0, t.stem))
     return _text(folder, whole, sorted(left))
+
+
+def _why_none(folder: Path, trials: list[_TrialFiles], left: list[str]) -> str:
+    """Why there is no trial, and what to do next."""
+    found = f"{', '.join(left[:5]) or 'neither'}{', ...' if len(left) > 5 else ''}"
+    said = (
+        f"{folder}: expected pressure logs and angle tables (or videos) of the same names inside this folder, such as "
+        f"logs/original_0.0625Hz_45kPa.csv with results/original_0.0625Hz_45kPa.h5; found {found}"
+    )
+    without_log = [trial.stem for trial in trials if {"angles", "video"} & set(trial.files)]
+    if without_log and not any("log" in trial.files for trial in trials):
+        said += f". No pressure log is there: copy the one of '{without_log[0]}' to "
+        said += str(folder / "logs" / f"{without_log[0]}.csv")
+    return said
+
+
+def _trial_stem(path: Path) -> str:
+    """Name of the trial of a file whose name says nothing else: its own, without what says what it is."""
+    return path.stem.removesuffix(".overlay")
 
 
 def _files(folder: Path) -> Iterator[Path]:
     count = 0
     for here, folders, names in os.walk(folder):
         folders[:] = sorted(name for name in folders if not name.startswith(".") and name not in _SKIPPED)
+        if _WEIGHTS in names:  # a trained network, whose training.csv is no log
+            folders.clear()
+            continue
+        if SETTINGS_FILE in names:  # a project: what lies in its models/ are networks
+            folders[:] = [name for name in folders if name != "models"]
         for name in sorted(names):
             if not name.startswith("."):
                 yield Path(here) / name
@@ -142,6 +167,8 @@ def _kind(path: Path) -> str | None:
         return "unknown"
     if any(column.name.lower() == "angle_deg" for column in columns):
         return "angles" if has_time else "model"
+    if path.parent.name == "results" and (path.parent.parent / SETTINGS_FILE).is_file():
+        return None  # a project's own
     return "log" if any(is_pressure(column) for column in columns) else "unknown"
 
 
@@ -164,6 +191,7 @@ def _by_name(relative: str) -> _TrialFiles | None:
                 repeat=" ".join(repeats),
                 frequency_hz=_number(frequency[1]) if frequency else None,
                 pressure_pp_kpa=_number(pressure[1]) if pressure else None,
+                static=not frequency,
             )
     return None
 
@@ -217,12 +245,13 @@ def _text(folder: Path, trials: list[_TrialFiles], left: list[str]) -> str:
     stems = [trial.stem for trial in trials]
     for trial in trials:
         table = tomlkit.table()
+        kind = "static" if trial.static else "dynamic"
         if stems.count(trial.stem) > 1:
             table["name"] = (
-                f"{trial.design} {trial.frequency_hz or 'static'} {trial.pressure_pp_kpa or ''}".strip()
+                f"{trial.design} {trial.frequency_hz or kind} {trial.pressure_pp_kpa or ''}".strip()
             )
         table["design"] = trial.design
-        table["kind"] = "static" if trial.frequency_hz is None else "dynamic"
+        table["kind"] = kind
         for key in ("frequency_hz", "pressure_pp_kpa"):
             if getattr(trial, key) is not None:
                 table[key] = getattr(trial, key)

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import PressureLogError, StudyError
+from ..hashing import file_sha256
 from ..types import FloatArray
-from ..video import file_sha256
 from .csv_log import csv_columns
 from .log_columns import pressure_column
 from .units import KPA_IN, words_of

@@ -14,8 +14,8 @@ import h5py
 import numpy as np
 
 from ..errors import PressureLogError
+from ..hashing import file_sha256
 from ..types import BoolArray, FloatArray
-from ..video import file_sha256
 from .csv_log import csv_columns
 from .log_clock import order_clock, usual_step_s
 from .log_columns import LogColumn, choose_columns

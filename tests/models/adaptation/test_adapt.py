@@ -21,8 +21,8 @@ from bendtrack.models.networks.checkpoint import load_checkpoint
 from bendtrack.models.networks.end_regressor import TorchEndRegressor
 from bendtrack.models.networks.shipped import shipped_network, working_copy
 from bendtrack.tracker.angle import bending_angle
+from bendtrack.tracker.hashing import file_sha256
 from bendtrack.tracker.synthetic.stream import KEYPOINTS, TRAINING, Stage, drawn_look, inflation_deg
-from bendtrack.tracker.video import file_sha256
 
 FRAMES = 32
 SIZE_WH = (400, 300)

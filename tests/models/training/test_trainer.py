@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 import signal
 import subprocess
 import sys
@@ -177,6 +178,58 @@ def test_resuming_with_other_labels_or_nothing_to_resume_is_refused(
     state.write_bytes(state.read_bytes()[:500])
     with pytest.raises(TrainingError, match="damaged"):
         train(frames, KEYPOINTS, definition, tmp_path / "model", TINY, resume=True)
+
+
+def test_ctrl_c_before_the_first_evaluation_saves_what_was_learnt(
+    make_frames: MakeFrames, definition: AngleDefinition, tmp_path: Path
+) -> None:
+    frames = make_frames(np.linspace(0, 180, 6))
+    steps: list[int] = []
+
+    def interrupt(progress: Progress) -> None:
+        steps.append(progress.step)
+        if progress.step == 3:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt):
+        train(frames, KEYPOINTS, definition, tmp_path / "stopped", TINY, progress=interrupt)
+    assert steps == [1, 2, 3]  # the step at work is finished, and none begun
+    assert signal.getsignal(signal.SIGINT) is before
+    assert [path.name for path in (tmp_path / "stopped").iterdir()] == ["training-state.safetensors"]
+    train(frames, KEYPOINTS, definition, tmp_path / "stopped", TINY, resume=True)
+    train(frames, KEYPOINTS, definition, tmp_path / "unbroken", TINY)
+    one, other = (load_file(tmp_path / name / "weights.safetensors") for name in ("stopped", "unbroken"))
+    assert all(one[name].equal(other[name]) for name in other)
+
+
+def test_the_end_of_training_is_within_the_time_limit(
+    make_frames: MakeFrames, definition: AngleDefinition, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a clock on which the first targets take 20 s, a step takes 1 s, and 100 s went by before."""
+    now_s = [0.0]
+    monkeypatch.setattr(training.time, "monotonic", lambda: now_s[0])
+    trainer = trainer_from(
+        "random", make_frames(np.linspace(0, 180, 6)), definition, tmp_path, max_minutes=3.0, steps=500
+    )
+    trainer.taken = {"base_1": "base_1"}
+
+    def known_before(finder: object, known: object) -> np.ndarray:
+        now_s[0] += 20
+        return trainer.labels[trainer.trained]
+
+    evidence = replace(trainer.evidence)
+    object.__setattr__(evidence, "known_before", known_before)
+    trainer.evidence = evidence
+    now_s[0] = 100
+
+    def tick(progress: Progress) -> None:
+        now_s[0] += 1
+
+    monkeypatch.setattr(trainer, "_evaluate", lambda loss: None)
+    trainer.run(0.0, tick)
+    # 180 s in all: 100 before, 20 for the targets, 1.6 x 20 kept for the end, so 28 steps.
+    assert trainer.step == 28
 
 
 def test_a_loss_that_is_not_finite_stops_the_training(

@@ -9,10 +9,10 @@ from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..errors import BendtrackError, CheckpointError, TrainingError
+from .tracker.errors import BendtrackError, CheckpointError, TrainingError
 
 if TYPE_CHECKING:
-    from ..project import Project
+    from .tracker.project import Project
 
 SETTINGS_FILE = "training-settings.json"
 """What the training was started with, so that --resume needs no other option."""
@@ -25,7 +25,7 @@ _DEFAULT_NAME = "model"
 
 def finished(project: Project) -> list[Path]:
     """Folders of the finished networks, the newest last."""
-    from ...models.inference.metadata import WEIGHTS_FILE
+    from .models.inference.metadata import WEIGHTS_FILE
 
     found = [path for path in _folders(project) if (path / WEIGHTS_FILE).is_file()]
     return sorted(found, key=lambda path: ((path / WEIGHTS_FILE).stat().st_mtime_ns, path.name))
@@ -33,8 +33,8 @@ def finished(project: Project) -> list[Path]:
 
 def unfinished(project: Project) -> list[Path]:
     """Folders of the trainings that can go on, the latest last."""
-    from ...models.inference.metadata import WEIGHTS_FILE
-    from ...models.training.state import STATE_FILE
+    from .models.inference.metadata import WEIGHTS_FILE
+    from .models.training.state import STATE_FILE
 
     found = [
         path
@@ -82,11 +82,11 @@ def new_folder(project: Project, name: str | None, overwrite: bool) -> Path:
     if folder.exists() and not overwrite:
         if folder in unfinished(project):
             raise TrainingError(
-                f"--name: expected a new name, got '{name}', an unfinished training:"
+                f"--model: expected a new name, got '{name}', an unfinished training:"
                 " go on with --resume, or begin anew with --overwrite"
             )
         raise TrainingError(
-            f"--name: expected a new name, got '{name}', which is there already: choose another, or --overwrite"
+            f"--model: expected a new name, got '{name}', which is there already: choose another, or --overwrite"
         )
     return folder
 
@@ -121,5 +121,5 @@ def _folders(project: Project) -> list[Path]:
 def _checked(name: str) -> str:
     """The name, if it can be a folder's everywhere."""
     if not name or name == CROSS_VALIDATION or name[0] in ". " or any(sign in name for sign in '/\\:*?"<>|'):
-        raise BendtrackError(f"network name: expected letters, digits, and signs such as - _ ., got '{name}'")
+        raise BendtrackError(f"--model: expected letters, digits, and signs such as - _ ., got '{name}'")
     return name
