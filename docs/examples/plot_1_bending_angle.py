@@ -11,6 +11,7 @@ its angle, and compares the four definitions on a circular arc that bends past 1
 # -----------------------------
 # ``truth.csv`` holds the exact points of every frame. We take the frame with the largest angle.
 
+from dataclasses import replace
 from importlib.resources import files
 
 import matplotlib.pyplot as plt
@@ -18,6 +19,7 @@ import numpy as np
 import pandas as pd
 
 from bendtrack.tracker import AngleDefinition, Video, bending_angle
+from bendtrack.tracker.angle import sign_from_labels
 
 sample = files("bendtrack.data_samples")
 truth = pd.read_csv(str(sample / "truth.csv"))
@@ -28,9 +30,9 @@ xy = (
     .reshape(-1, 4, 2)
 )
 
-definition = AngleDefinition(
-    "two-vector", keypoints, sign=-1
-)  # this actuator bends counterclockwise
+definition = AngleDefinition("two-vector", keypoints)
+# Bending under pressure is positive, whichever way this actuator turns on the screen.
+definition = replace(definition, sign=sign_from_labels(xy, keypoints, definition))
 angle_deg, _, _ = bending_angle(xy, keypoints, definition)
 largest = int(np.argmax(angle_deg))
 print(

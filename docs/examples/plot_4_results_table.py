@@ -13,6 +13,7 @@ angle with its uncertainty and its flagged rows.
 # noise and a stretch in which the tip was hidden. Yours comes from ``bendtrack track``.
 
 import tempfile
+from dataclasses import replace
 from importlib.resources import files
 
 import matplotlib.pyplot as plt
@@ -26,6 +27,7 @@ from bendtrack.tracker import (
     read_results,
     write_results,
 )
+from bendtrack.tracker.angle import sign_from_labels
 
 keypoints = ("base_1", "base_2", "tip_1", "tip_2")
 truth = pd.read_csv(str(files("bendtrack.data_samples") / "truth.csv"))
@@ -41,7 +43,8 @@ noise_px[hidden, 2:] = 6.0
 xy = xy + rng.normal(size=xy.shape) * noise_px[..., None]
 covariance = np.eye(2) * noise_px[..., None, None] ** 2
 likelihood = np.where(noise_px > 1, 0.2, 0.9)
-definition = AngleDefinition("two-vector", keypoints, sign=-1)
+definition = AngleDefinition("two-vector", keypoints)
+definition = replace(definition, sign=sign_from_labels(xy, keypoints, definition))
 angle_deg, angle_sd_deg, _ = bending_angle(xy, keypoints, definition, covariance)
 flag = np.where((likelihood < 0.6).any(axis=1), "low_likelihood", "")
 made = AngleTable(
