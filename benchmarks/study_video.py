@@ -87,7 +87,7 @@ class Row:
 
 
 def looks_of(designs: int, first_seed: int, length_px: float) -> list[Look]:
-    """Looks of words that pretraining has not seen. All bend to one side, as actuators in one rig do: a project has one sign."""
+    """Looks of held-out words that bend to one side, as actuators in one rig do: a project has one sign."""
     found: list[Look] = []
     seed = first_seed
     while len(found) < designs:

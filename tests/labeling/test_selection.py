@@ -24,7 +24,7 @@ from bendtrack.tracker.synthetic.trial import Trial, render_trial
 from bendtrack.tracker.video import Video
 from bendtrack.tracker.video_writer import VideoWriter
 
-SEEDS = {"200 deg": 3, "wide loop": 8, "small bend": 100, "dark rubber": 5}
+SEEDS = {"200 deg": 7, "wide loop": 8, "small bend": 100, "dark rubber": 5}
 COVERED, GAP = 0.95, 0.08
 
 

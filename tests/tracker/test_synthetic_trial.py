@@ -156,14 +156,14 @@ def test_staircase_holds_its_levels(tmp_path):
 
 
 def test_the_same_seed_makes_the_same_trial(tmp_path):
-    short = {"seed": 6, "frequency_hz": 2.0, "cycles": 1, "frame_rate": 10.0, **SMALL}
+    short = {"seed": 7, "frequency_hz": 2.0, "cycles": 1, "frame_rate": 10.0, **SMALL}
     first, again = (
         render_trial(tmp_path / "a" / "same", **short),
         render_trial(tmp_path / "b" / "same", **short),
     )
     for name in ("truth.csv", "pressure.csv", "trial.json", "same.mp4"):
         assert (first.folder / name).read_bytes() == (again.folder / name).read_bytes()
-    other = render_trial(tmp_path / "c", **{**short, "seed": 7})
+    other = render_trial(tmp_path / "c", **{**short, "seed": 8})
     assert other.look != first.look
 
 
