@@ -228,8 +228,8 @@ def test_the_end_of_training_is_within_the_time_limit(
 
     monkeypatch.setattr(trainer, "_evaluate", lambda loss: None)
     trainer.run(0.0, tick)
-    # 180 s in all: 100 before, 20 for the targets, 1.6 x 20 kept for the end, so 28 steps.
-    assert trainer.step == 28
+    # 180 s in all: 100 before, 20 for the targets, 1.6 x 20 kept for the end, so 28 steps, or one that had begun.
+    assert 27 <= trainer.step <= 29
 
 
 def test_a_loss_that_is_not_finite_stops_the_training(
