@@ -11,7 +11,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..data.synthetic import LOCATOR_INPUT, PICTURE_SIDE, REFERENCE, Rendered
+from ..data.synthetic import IMAGE_SIDE, LOCATOR_INPUT, REFERENCE, RenderedBatch
 from ..inference.affine import PATCH_SIDE
 from ..inference.roi import MAX_MAGNIFICATION, orientations
 from ..training.batches import Batch
@@ -33,7 +33,7 @@ FURTHEST_PX = 22.0
 ELSEWHERE = 0.15
 """Share of patches that are cut anywhere along the body or in the picture."""
 
-_MIDDLE = (PICTURE_SIDE - 1) / 2
+_MIDDLE = (IMAGE_SIDE - 1) / 2
 
 
 class ImagePool:
@@ -49,7 +49,7 @@ class ImagePool:
         self.size, self.device = size, device
         self.seen = 0
         k = len(REFERENCE)
-        self._pictures = torch.empty((size, 3, PICTURE_SIDE, PICTURE_SIDE), dtype=torch.uint8, device=device)
+        self._pictures = torch.empty((size, 3, IMAGE_SIDE, IMAGE_SIDE), dtype=torch.uint8, device=device)
         self._xy = np.empty((size, k, 2))
         self._visible = np.empty((size, k), bool)
         self._body_px = np.empty(size)
@@ -57,10 +57,10 @@ class ImagePool:
     def __len__(self) -> int:
         return min(self.seen, self.size)
 
-    def add(self, new: Rendered) -> None:
+    def add(self, new: RenderedBatch) -> None:
         """Take in pictures."""
-        places = np.arange(self.seen, self.seen + len(new.pictures)) % self.size
-        self._pictures[torch.from_numpy(places)] = torch.from_numpy(new.pictures).to(self.device)
+        places = np.arange(self.seen, self.seen + len(new.images)) % self.size
+        self._pictures[torch.from_numpy(places)] = torch.from_numpy(new.images).to(self.device)
         self._xy[places], self._visible[places], self._body_px[places] = new.xy, new.visible, new.body_px
         self.seen += len(places)
 
@@ -82,12 +82,12 @@ class ImagePool:
     def _crops(self, pictures: Tensor, xy: np.ndarray, visible: np.ndarray, rng: Rng) -> Batch:
         n = len(pictures)
         # Shrunk by areas first, since a bilinear cut would skip pixels.
-        small = F.avg_pool2d(pictures, PICTURE_SIDE // 128)
-        scale = LOCATOR_INPUT / PICTURE_SIDE * np.exp(rng.uniform(-0.25, 0.2, n))
+        small = F.avg_pool2d(pictures, IMAGE_SIDE // 128)
+        scale = LOCATOR_INPUT / IMAGE_SIDE * np.exp(rng.uniform(-0.25, 0.2, n))
         turn = np.deg2rad(
             90 * rng.integers(0, 4, n) + np.where(rng.random(n) < 0.7, rng.uniform(-30, 30, n), 0)
         )
-        middle = _MIDDLE + rng.uniform(-0.1, 0.1, (n, 2)) * PICTURE_SIDE
+        middle = _MIDDLE + rng.uniform(-0.1, 0.1, (n, 2)) * IMAGE_SIDE
         return self._batch(
             small, xy, visible, middle[:, None], scale[:, None], turn[:, None], LOCATOR_INPUT, rng
         )
@@ -114,7 +114,7 @@ class ImagePool:
             + rng.random((n, each, 1)) * (other - one)
             + rng.normal(0, 0.08, (n, each, 2)) * body_px[:, None, None]
         )
-        anywhere = rng.random((n, each, 2)) * (PICTURE_SIDE - 1)
+        anywhere = rng.random((n, each, 2)) * (IMAGE_SIDE - 1)
         beside = np.where(rng.random((n, each, 1)) < 0.5, along, anywhere)
         elsewhere = rng.random((n, each)) < ELSEWHERE
         middle = np.where(elsewhere[..., None], beside, middle)
@@ -157,7 +157,7 @@ class ImagePool:
 def _cut(pictures: Tensor, inverse: np.ndarray, middle: np.ndarray, side: int) -> Tensor:
     """Square views (N M, 3, side, side) of pictures (N, 3, h, w); outside a picture its border is repeated.
 
-    inverse : (N, M, 2, 2) from input px to px of a picture of `PICTURE_SIDE`, about the middles (N, M, 2) of both
+    inverse : (N, M, 2, 2) from input px to px of a picture of `IMAGE_SIDE`, about the middles (N, M, 2) of both
     """
     n, m = inverse.shape[:2]
     device = pictures.device
@@ -166,7 +166,7 @@ def _cut(pictures: Tensor, inverse: np.ndarray, middle: np.ndarray, side: int) -
     turn, centre = (torch.from_numpy(part.astype(np.float32)).to(device) for part in (inverse, middle))
     at = torch.einsum("nmij,hwj->nmhwi", turn, grid) + centre[:, :, None, None]
     # What a picture's size is does not matter to `grid_sample`: -1 and 1 are its outer edges.
-    at = (2 * at + 1) / PICTURE_SIDE - 1
+    at = (2 * at + 1) / IMAGE_SIDE - 1
     views = F.grid_sample(
         pictures,
         at.reshape(n, m * side, side, 2),

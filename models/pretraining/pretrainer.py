@@ -31,12 +31,12 @@ from ...tracker.synthetic.stream import KEYPOINTS, Sample
 from ...tracker.types import BoolArray, Detections, FloatArray
 from ..data.prepared import PreparedFrame
 from ..data.synthetic import (
+    IMAGE_SIDE,
+    IMAGE_WH,
     LOCATOR_INPUT,
-    PICTURE_SIDE,
-    PICTURE_WH,
     REFERENCE,
-    Rendered,
-    rendered_pictures,
+    RenderedBatch,
+    render_batch,
     rendered_samples,
 )
 from ..inference.calibration import Calibration, reference_peaks, typical_scale
@@ -126,7 +126,7 @@ def usual_settings(**given: Any) -> PretrainingSettings:
     if device.type != "cuda":
         return PretrainingSettings(**given)
     room = torch.cuda.get_device_properties(device).total_memory // 2
-    pool = max(512, min(room // (3 * PICTURE_SIDE**2), 250_000))
+    pool = max(512, min(room // (3 * IMAGE_SIDE**2), 250_000))
     usual = {
         "pictures": 36,
         "batch": 512,
@@ -284,9 +284,9 @@ class _Pretrainer:
         network = self.pair.average
         found, known = _found(network, self.judged)
         peaks = reference_peaks(found.likelihood, known)
-        width, height = PICTURE_WH
+        width, height = IMAGE_WH
         # Where and at which scales to look is found anew for every video; this is what the networks have seen.
-        region = RegionOfInterest(PICTURE_WH, 0, 0, width, height, LOCATOR_INPUT / max(PICTURE_WH), 1.0)
+        region = RegionOfInterest(IMAGE_WH, 0, 0, width, height, LOCATOR_INPUT / max(IMAGE_WH), 1.0)
         return Checkpoint(
             network=network.cpu().eval(),
             backbone=self.settings.backbone,
@@ -348,7 +348,7 @@ class _Pretrainer:
 @contextmanager
 def _drawn(
     settings: PretrainingSettings, first: int, count: int, workers: int
-) -> Iterator[Iterator[Rendered]]:
+) -> Iterator[Iterator[RenderedBatch]]:
     """The stream's pictures from number `first` on, drawn ahead by processes, as many at a time as a step takes in; one
     time ends with number `count`."""
 
@@ -358,8 +358,8 @@ def _drawn(
             yield range(start, stop)
             start, stop = stop, stop + settings.pictures
 
-    def pictures() -> Iterator[Rendered]:
-        asked = (pool.submit(rendered_pictures, settings.seed, indices) for indices in numbers())
+    def pictures() -> Iterator[RenderedBatch]:
+        asked = (pool.submit(render_batch, settings.seed, indices) for indices in numbers())
         ahead = deque(islice(asked, AHEAD * workers))
         while True:
             yield ahead.popleft().result()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bendtrack.models.denoising.end_regression import fit_end_regression
-from bendtrack.models.denoising.registration import LEAST, shipped_features
+from bendtrack.models.denoising.registration import MIN_FRAMES, shipped_features
 from bendtrack.models.inference.crops import crop_end, move_ends
 from bendtrack.models.inference.roi import RegionOfInterest, orientations, regions_of_interest
 from bendtrack.models.networks.end_regressor import EndRegressionNetwork, TorchEndRegressor
@@ -147,10 +147,10 @@ def test_where_pictures_tell_nothing_the_network_is_left_alone(film: Film, featu
 
 def test_ends_that_rest_or_are_seldom_seen_are_not_learnt(film: Film, features: FirstStage) -> None:
     _, truth, _ = film
-    assert learn(film, LEARNT[: LEAST - 1], features) is None
+    assert learn(film, LEARNT[: MIN_FRAMES - 1], features) is None
     assert learn(film, LEARNT, features, reference=(1, 2, 3, 0)) is None
     known = np.ones((len(LEARNT), 4), bool)
-    known[LEAST - 1 :, 3] = False
+    known[MIN_FRAMES - 1 :, 3] = False
     assert learn(film, LEARNT, features, known=known) is None
     resting = truth.copy()
     resting[:, 2:] = truth[0, 2:]

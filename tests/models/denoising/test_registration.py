@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bendtrack.models.data.prepared import PreparedFrame, prepare
-from bendtrack.models.denoising.registration import LEAST, MOST, register_ends, shipped_features
+from bendtrack.models.denoising.registration import MAX_FRAMES, MIN_FRAMES, register_ends, shipped_features
 from bendtrack.models.inference.roi import orientations, regions_of_interest, turned
 from bendtrack.models.networks.heatmap_network import FirstStage
 from bendtrack.tracker.synthetic.stream import KEYPOINTS, TRAINING, Stage, drawn_look, inflation_deg
@@ -100,7 +100,7 @@ def test_what_is_not_believed_and_what_rests_stays(film, features) -> None:
 def test_videos_are_laid_over_each_other_each_by_itself(film, features) -> None:
     frames, truth = film
     start, known = off(truth), np.ones(truth.shape[:2], bool)
-    few = LEAST - 1
+    few = MIN_FRAMES - 1
     videos = ["few"] * few + ["many"] * (FRAMES - few)
     moved = register_ends(frames, start, known, REFERENCE, videos, features)
     np.testing.assert_array_equal(moved[:few], start[:few])
@@ -129,8 +129,8 @@ def test_frames_smaller_than_others_are_moved_in_their_own_px(film, features) ->
 
 def test_more_frames_than_go_at_once_are_taken_in_parts(film, features, monkeypatch) -> None:
     frames, truth = film
-    assert FRAMES <= MOST
-    monkeypatch.setattr("bendtrack.models.denoising.registration.MOST", FRAMES // 2)
+    assert FRAMES <= MAX_FRAMES
+    monkeypatch.setattr("bendtrack.models.denoising.registration.MAX_FRAMES", FRAMES // 2)
     start, known = off(truth), np.ones(truth.shape[:2], bool)
     moved = register_ends(frames, start, known, REFERENCE, VIDEO, features)
     assert tip_deg(moved, truth).std() < 0.5 * tip_deg(start, truth).std()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from bendtrack.models.data.synthetic import PICTURE_SIDE, REFERENCE, Rendered, rendered_pictures
+from bendtrack.models.data.synthetic import IMAGE_SIDE, REFERENCE, RenderedBatch, render_batch
 from bendtrack.models.inference.roi import orientations
 from bendtrack.models.pretraining.gpu_augmentation import changed, covered
 from bendtrack.models.pretraining.image_pool import ImagePool
@@ -15,17 +15,17 @@ from bendtrack.models.training.batches import Batch
 CPU = torch.device("cpu")
 
 
-def dots(count: int) -> Rendered:
+def dots(count: int) -> RenderedBatch:
     """Black pictures in which every keypoint is a bright spot, and where the spots are."""
     rng = np.random.default_rng(0)
-    xy = rng.uniform(0.25, 0.75, (count, len(REFERENCE), 2)) * PICTURE_SIDE
-    y, x = np.mgrid[:PICTURE_SIDE, :PICTURE_SIDE]
-    level = np.zeros((count, PICTURE_SIDE, PICTURE_SIDE))
+    xy = rng.uniform(0.25, 0.75, (count, len(REFERENCE), 2)) * IMAGE_SIDE
+    y, x = np.mgrid[:IMAGE_SIDE, :IMAGE_SIDE]
+    level = np.zeros((count, IMAGE_SIDE, IMAGE_SIDE))
     for i, points in enumerate(xy):
         for px, py in points:
             level[i] += 255 * np.exp(-((x - px) ** 2 + (y - py) ** 2) / (2 * 3.0**2))
     pictures = np.repeat(np.minimum(level, 255).astype(np.uint8)[:, None], 3, axis=1)
-    return Rendered(pictures, xy, np.ones(xy.shape[:2], bool), np.full(count, 160.0))
+    return RenderedBatch(pictures, xy, np.ones(xy.shape[:2], bool), np.full(count, 160.0))
 
 
 def plain(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -54,7 +54,7 @@ def test_the_truth_of_a_batch_is_where_the_spots_are(monkeypatch: pytest.MonkeyP
 
 def test_patches_are_cut_around_keypoints_and_turned_by_their_partners() -> None:
     pool = ImagePool(16, CPU)
-    pool.add(rendered_pictures(5, range(16)))
+    pool.add(render_batch(5, range(16)))
     locate, refine = pool.batches(16, 8, 3, np.random.default_rng(2))
     assert locate.images.shape == (16, 3, 96, 96)
     assert refine.images.shape == (48, 3, 64, 64)
@@ -72,7 +72,7 @@ def test_patches_are_cut_around_keypoints_and_turned_by_their_partners() -> None
 def test_a_batch_depends_on_its_seed_and_on_the_pictures_only() -> None:
     def batches(seed: int) -> tuple[Batch, Batch]:
         pool = ImagePool(6, CPU)
-        pool.add(rendered_pictures(5, range(6)))
+        pool.add(render_batch(5, range(6)))
         return pool.batches(8, 2, 2, np.random.default_rng(seed))
 
     one, again, other = batches(1), batches(1), batches(2)
@@ -84,9 +84,9 @@ def test_a_batch_depends_on_its_seed_and_on_the_pictures_only() -> None:
 
 def test_the_oldest_pictures_give_way() -> None:
     pool = ImagePool(4, CPU)
-    pool.add(rendered_pictures(5, range(3)))
+    pool.add(render_batch(5, range(3)))
     assert len(pool) == 3
-    pool.add(rendered_pictures(5, range(3, 6)))
+    pool.add(render_batch(5, range(3, 6)))
     assert (len(pool), pool.seen) == (4, 6)
 
 

@@ -28,9 +28,9 @@ TINY = PretrainingSettings(steps=4, pictures=2, pool=6, batch=4, patches=2, judg
 
 def test_a_sample_is_a_frame_whose_hidden_points_are_known_to_be() -> None:
     sample, frame = next(pair for pair in rendered_samples(3, range(200)) if not pair[0].visible.all())
-    np.testing.assert_array_equal(frame.in_sight, sample.visible)
+    np.testing.assert_array_equal(frame.visible, sample.visible)
     np.testing.assert_array_equal(frame.xy, sample.keypoints_xy)
-    assert not frame.in_sight.all()
+    assert not frame.visible.all()
 
 
 def test_a_project_sees_a_sample_with_its_own_points() -> None:
@@ -39,7 +39,7 @@ def test_a_project_sees_a_sample_with_its_own_points() -> None:
         3, range(1), ("tip_2", "spot", "base_1"), {"tip_2": "tip_2", "base_1": "base_1"}
     )
     np.testing.assert_array_equal(frame.xy[[0, 2]], sample.keypoints_xy[[-1, 0]])
-    np.testing.assert_array_equal(frame.in_sight[[0, 2]], sample.visible[[-1, 0]])
+    np.testing.assert_array_equal(frame.visible[[0, 2]], sample.visible[[-1, 0]])
     assert np.isnan(frame.xy[1]).all()
     chain = ("root", "neck", "wrist", "nail")
     (frame,) = rendered_frames(3, range(1), chain, dict(zip(chain, ENDS, strict=True)))

@@ -31,7 +31,7 @@ def prepared(make_frames: MakeFrames) -> list[PreparedFrame]:
 @pytest.fixture
 def plain(monkeypatch: pytest.MonkeyPatch) -> None:
     """Geometry only: the colours stay, so that a disc can be found by its colour."""
-    monkeypatch.setattr(augment, "change_picture", lambda image, rng: image)
+    monkeypatch.setattr(augment, "change_image", lambda image, rng: image)
     monkeypatch.setattr(
         augment, "occlude", lambda image, rng, share=0.5: (image, np.zeros(image.shape[:2], np.uint8))
     )
@@ -134,5 +134,5 @@ def test_changes_of_light_blur_and_noise_keep_a_mark_in_its_place(change: Callab
 
 
 def test_a_missing_picture_is_named(tmp_path: object) -> None:
-    with pytest.raises(LabelError, match=r"expected a picture at .*nowhere\.png"):
+    with pytest.raises(LabelError, match=r"expected an image at .*nowhere\.png"):
         read_image(LabelledFrame("v", tmp_path / "nowhere.png", np.zeros((4, 2)), "a"))

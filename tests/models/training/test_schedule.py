@@ -20,9 +20,9 @@ def test_rises_stays_and_falls() -> None:
 
 def test_no_gain_makes_it_fall_early_and_end_early() -> None:
     schedule = Schedule(planned=2000, decay_share=0.5)
-    assert schedule.judge(50, 3.0)
+    assert schedule.validate(50, 3.0)
     for i in range(PATIENCE):
-        assert not schedule.judge(100 + 50 * i, 2.99)
+        assert not schedule.validate(100 + 50 * i, 2.99)
     step = 100 + 50 * (PATIENCE - 1)
     assert schedule.decay_start == step
     assert schedule.total == 2 * step
@@ -32,7 +32,7 @@ def test_no_gain_makes_it_fall_early_and_end_early() -> None:
 def test_gains_keep_it_going() -> None:
     schedule = Schedule(planned=2000, decay_share=0.5)
     for i in range(10):
-        assert schedule.judge(50 * (i + 1), 3.0 * 0.9**i)
+        assert schedule.validate(50 * (i + 1), 3.0 * 0.9**i)
     assert schedule.total == 2000
 
 

@@ -19,11 +19,12 @@ from bendtrack.models.data.synthetic import rendered_frames
 from bendtrack.models.detector import NetworkDetector
 from bendtrack.models.evaluation import evaluate, not_trained_on
 from bendtrack.models.networks.checkpoint import load_checkpoint
-from bendtrack.models.training import lessons
+from bendtrack.models.training import batches
 from bendtrack.models.training import trainer as training
 from bendtrack.models.training.settings import TrainingSettings
 from bendtrack.models.training.split import split
 from bendtrack.models.training.trainer import Progress, train
+from bendtrack.models.training.training_data import load_training_data
 from bendtrack.tracker.angle import AngleDefinition
 from bendtrack.tracker.errors import LabelError, TrainingError
 from bendtrack.tracker.synthetic.stream import KEYPOINTS as canonical
@@ -87,22 +88,21 @@ import sys
 import numpy as np
 import torch
 from pathlib import Path
-from bendtrack.models.learning import training
 from bendtrack.models.training.settings import TrainingSettings
+from bendtrack.models.training.trainer import train
 from bendtrack.tracker.angle import AngleDefinition
 from bendtrack.tracker.types import LabelledFrame
 
 torch.set_num_threads(1)
-training.EVALUATE_EVERY = 4
 folder, keypoints = Path(sys.argv[1]), sys.argv[2].split(",")
 labels = np.load(folder / "labels.npy")
 frames = [
     LabelledFrame("finger", folder / f"img{i:05d}.png", xy, "default", i) for i, xy in enumerate(labels)
 ]
-training.train(
+train(
     frames, keypoints, AngleDefinition("two-vector", keypoints), folder / sys.argv[3],
     TrainingSettings(init="actuator", steps=20, batch_frames=2), resume="--resume" in sys.argv,
-    progress=lambda p: print(p.step, flush=True),
+    progress=lambda p: print(p.step, flush=True), evaluate_every=4,
 )
 """
 
@@ -143,33 +143,31 @@ def test_what_a_network_knew_of_other_actuators_it_keeps(
     settings = TrainingSettings(init="actuator", steps=80, batch_frames=4)
     others = rendered_frames(1000, range(60), KEYPOINTS, {name: name for name in KEYPOINTS})
 
-    def px_off(at_once: int) -> float:
+    def px_off(per_batch: int) -> float:
         """How far the refiner is off on rendered actuators that neither training has seen, median."""
-        monkeypatch.setattr(lessons, "REHEARSED_AT_ONCE", at_once)
-        checkpoint = train(frames, KEYPOINTS, definition, tmp_path / str(at_once), settings)
+        monkeypatch.setattr(batches, "REPLAY_PER_BATCH", per_batch)
+        checkpoint = train(frames, KEYPOINTS, definition, tmp_path / str(per_batch), settings)
         finder = checkpoint.network.finder()
         found = [finder.refined(f.fine[None], f.xy[None], f.region, checkpoint.reference) for f in others]
         off = np.stack([np.linalg.norm(p.xy[0] - f.xy, axis=1) for p, f in zip(found, others, strict=True)])
-        return float(np.median(off[np.stack([f.in_sight for f in others])]))
+        return float(np.median(off[np.stack([f.visible for f in others])]))
 
     assert px_off(2) < 0.7 * px_off(0)
 
 
 def test_resuming_with_other_labels_or_nothing_to_resume_is_refused(
-    make_frames: MakeFrames, definition: AngleDefinition, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    make_frames: MakeFrames, definition: AngleDefinition, tmp_path: Path
 ) -> None:
     frames = make_frames(np.linspace(0, 180, 6))
     with pytest.raises(TrainingError, match="expected an unfinished training"):
         train(frames, KEYPOINTS, definition, tmp_path / "model", TINY, resume=True)
-
-    monkeypatch.setattr(training, "EVALUATE_EVERY", 2)
 
     def interrupt(progress: Progress) -> None:
         if progress.step == 3:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train(frames, KEYPOINTS, definition, tmp_path / "model", TINY, progress=interrupt)
+        train(frames, KEYPOINTS, definition, tmp_path / "model", TINY, progress=interrupt, evaluate_every=2)
     moved = [replace(frames[0], xy=frames[0].xy + 1), *frames[1:]]
     with pytest.raises(TrainingError, match="settings and labels that the training was started with"):
         train(moved, KEYPOINTS, definition, tmp_path / "model", TINY, resume=True)
@@ -264,7 +262,7 @@ def trainer_from(
     start: str, frames: list[LabelledFrame], definition: AngleDefinition, folder: Path, **other: object
 ) -> training._Trainer:
     settings = TrainingSettings(init=start, held_out=0.0, **other)
-    return training._Trainer(frames, KEYPOINTS, definition, folder, settings, resume=False)
+    return training._Trainer(load_training_data(frames, KEYPOINTS, settings), definition, folder, settings)
 
 
 def tip_sd_deg(xy: np.ndarray, truth: np.ndarray) -> float:
@@ -278,12 +276,12 @@ def test_a_network_that_knows_actuators_learns_from_positions_nearer_to_the_trut
     rendered: tuple[list[LabelledFrame], np.ndarray], definition: AngleDefinition, tmp_path: Path
 ) -> None:
     frames, truth = rendered[0][::2], rendered[1][::2]
-    knows = trainer_from("actuator", frames, definition, tmp_path / "model")
-    positions = knows.evidence.known_before(knows.pair.average.finder(), np.ones(4, bool))
+    trainer = trainer_from("actuator", frames, definition, tmp_path / "model")
+    positions = trainer.denoiser.initial_targets(trainer.networks.average.finder(), np.ones(4, bool))
     labels = np.stack([frame.xy for frame in frames])
     assert tip_sd_deg(labels, truth) > 1.5
     assert tip_sd_deg(positions, truth) < 0.4 * tip_sd_deg(labels, truth)
-    assert trainer_from("random", frames, definition, tmp_path / "model").evidence.features is None
+    assert trainer_from("random", frames, definition, tmp_path / "model").denoiser.features is None
 
 
 def test_a_network_that_knows_actuators_learns_how_tips_lie_from_closer_pictures(
