@@ -1,6 +1,6 @@
-"""The two networks together: a locator that sees the whole working region small, and a refiner that looks at a patch
-around each keypoint, turned upright by what was located. The refiner therefore sees every tip in the same attitude,
-whatever the bend, and thirty labels of it add up. How they are put to work is in `finder.py`.
+"""The cascade of two networks: a locator on the whole region of interest at low resolution, and a refiner on a patch
+around each located keypoint, rotated upright. The refiner therefore sees every tip in one orientation, whatever the
+bend, so thirty labels of it add up. How the two are applied to frames is in `inference.coarse_to_fine`.
 """
 
 from __future__ import annotations
@@ -19,29 +19,34 @@ from .heatmap_network import CONVOLUTIONS, HeatmapNetwork
 from .heatmaps import decode
 
 LOCATOR_STAGES = 4
-"""Who looks for any actuator in a whole picture needs the fourth residual stage; on thirty frames of one actuator three
-find as much."""
+"""Residual stages of the locator. To find any actuator in a whole image it needs the fourth; on thirty frames of one
+actuator three are as accurate."""
 
 REFINER_STAGES = 3
 REFINER_WIDTH = 32
-"""Two stages reach a whole patch, but weigh little of what lies away from its middle: a wide end's sides. Nothing is
-gained by a wider way up."""
+"""Residual stages of the refiner and channels of its decoder. The receptive field of two stages covers a patch, but
+weighs little of what lies off its centre, such as the sides of a wide end. A wider decoder gains nothing."""
 
 assert LOCATOR_MULTIPLE == 2 ** (LOCATOR_STAGES + 1)
 
 
 class Cascade(nn.Module):
-    """Locator and refiner for K keypoints.
+    """Locator and refiner for K keypoints, with random weights.
 
     Parameters
     ----------
-    backbone : a key of `network.BACKBONES`
-    n_keypoints : K
-    locator_stages, refiner_stages : residual stages that each has
+    backbone : str
+        A key of `heatmap_network.BACKBONES`.
+    n_keypoints : int
+        K.
+    locator_stages, refiner_stages : int
+        Residual stages of each network.
 
     Attributes
     ----------
-    aligner : tells how moving ends lie; None where nobody has learnt that
+    locator, refiner : HeatmapNetwork
+    aligner : EndRegressionNetwork or None
+        The end-pose regressor of the moving ends, under the name that it has in checkpoints; None where none is fitted.
     """
 
     aligner: EndRegressionNetwork | None
@@ -62,14 +67,20 @@ class Cascade(nn.Module):
 
     @classmethod
     def of(cls, locator: HeatmapNetwork, refiner: HeatmapNetwork) -> Cascade:
-        """Two networks as one cascade, sharing their weights."""
+        """A cascade of two networks, which keep their weights: nothing is copied."""
         whole = cls.__new__(cls)
         nn.Module.__init__(whole)
         whole.locator, whole.refiner, whole.aligner = locator, refiner, None
         return whole
 
     def finder(self, peaks: int = 1) -> CoarseToFineEstimator:
-        """The networks at work in float32, where their weights lie. `peaks`: as `CoarseToFineEstimator`'s."""
+        """The coarse-to-fine estimator with these networks, in float32 on the device of their weights.
+
+        Parameters
+        ----------
+        peaks : int
+            As `CoarseToFineEstimator`'s.
+        """
         self.eval()
         locate, refine = TorchPredictor(self.locator, peaks), TorchPredictor(self.refiner)
         return CoarseToFineEstimator(
@@ -82,18 +93,26 @@ class Cascade(nn.Module):
 
 
 class TorchPredictor:
-    """A network as a `finder.Predictor`, that reads so many positions for each keypoint."""
+    """A network as a `coarse_to_fine.Predictor`.
+
+    Parameters
+    ----------
+    network : HeatmapNetwork
+        In evaluation mode.
+    peaks : int
+        Positions for each keypoint, as `heatmaps.decode`'s.
+    """
 
     def __init__(self, network: HeatmapNetwork, peaks: int = 1) -> None:
         self.network = network
         self.peaks = peaks
 
     @torch.inference_mode()
-    def __call__(self, pictures: ImageArray) -> Detections:
-        """Every keypoint in pictures (N, 3, H, W) uint8."""
-        # TensorFloat-32 would round a GPU's positions by up to a tenth of a px; float32 is what is promised.
+    def __call__(self, images: ImageArray) -> Detections:
+        """All keypoints in images (N, 3, H, W) uint8 RGB: positions and covariances in their px."""
+        # TensorFloat-32 would change positions by up to a tenth of a px on a GPU.
         with torch.backends.cudnn.flags(enabled=True, allow_tf32=False):
-            found = decode(self.network(torch.from_numpy(pictures).to(self.network.mean.device)), self.peaks)
+            found = decode(self.network(torch.from_numpy(images).to(self.network.mean.device)), self.peaks)
         return Detections(_float64(found.xy), _float64(found.likelihood), _float64(found.covariance))
 
 

@@ -8,7 +8,7 @@ import torch
 
 from bendtrack.models.data.synthetic import IMAGE_SIDE, REFERENCE, RenderedBatch, render_batch
 from bendtrack.models.inference.roi import orientations
-from bendtrack.models.pretraining.gpu_augmentation import changed, covered
+from bendtrack.models.pretraining.gpu_augmentation import change_batch, occlude_batch
 from bendtrack.models.pretraining.image_pool import ImagePool
 from bendtrack.models.training.batches import Batch
 
@@ -31,8 +31,10 @@ def dots(count: int) -> RenderedBatch:
 def plain(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing in the way, no change of light."""
     module = "bendtrack.models.pretraining.image_pool"
-    monkeypatch.setattr(f"{module}.covered", lambda images, xy, rng: (images, np.zeros(xy.shape[:2], bool)))
-    monkeypatch.setattr(f"{module}.changed", lambda images, rng: images)
+    monkeypatch.setattr(
+        f"{module}.occlude_batch", lambda images, xy, rng: (images, np.zeros(xy.shape[:2], bool))
+    )
+    monkeypatch.setattr(f"{module}.change_batch", lambda images, rng: images)
 
 
 def test_the_truth_of_a_batch_is_where_the_spots_are(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -87,14 +89,14 @@ def test_the_oldest_pictures_give_way() -> None:
     pool.add(render_batch(5, range(3)))
     assert len(pool) == 3
     pool.add(render_batch(5, range(3, 6)))
-    assert (len(pool), pool.seen) == (4, 6)
+    assert (len(pool), pool.added) == (4, 6)
 
 
 def test_what_lies_in_the_way_hides_what_is_under_it() -> None:
     rng = np.random.default_rng(3)
     images = torch.full((200, 3, 40, 40), -1.0)
     xy = rng.uniform(0, 39, (200, 5, 2))
-    shown, hidden = covered(images, xy, rng)
+    shown, hidden = occlude_batch(images, xy, rng)
     assert 0.01 < hidden.mean() < 0.1
     column, row = np.round(xy).astype(int).transpose(2, 0, 1)
     touched = shown.numpy()[np.arange(200)[:, None], 0, row, column] != -1.0
@@ -105,7 +107,7 @@ def test_what_lies_in_the_way_hides_what_is_under_it() -> None:
 
 def test_changed_pictures_stay_pictures() -> None:
     images = torch.rand(64, 3, 16, 16, generator=torch.Generator().manual_seed(0)) * 255
-    images = changed(images, np.random.default_rng(4))
+    images = change_batch(images, np.random.default_rng(4))
     assert images.shape == (64, 3, 16, 16)
     assert 0 <= float(images.min()) < float(images.max()) <= 255
     grey = (images.amax(dim=1) - images.amin(dim=1)).mean(dim=(1, 2))
