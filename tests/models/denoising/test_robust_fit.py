@@ -1,4 +1,4 @@
-"""Where labels lie beside what a network finds, and positions to train on that are better than a click."""
+"""Systematic bias of predictions against labels, and denoised positions that are better than a click."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def off_mean_px(moved: np.ndarray, truth: np.ndarray, labels: np.ndarray) -> np.
     return np.asarray((moved - truth - (labels - truth).mean(axis=0)).std(axis=0))
 
 
-def test_an_offset_that_turns_with_the_body_is_found_and_undone(bends) -> None:
+def test_a_bias_along_the_ends_axes_is_estimated_and_corrected(bends) -> None:
     truth, scale = bends
     found = shifted(truth, 0.3, -0.5, scale)
     offset = systematic_bias(found, truth, geometry(scale))
@@ -66,7 +66,7 @@ def test_an_offset_that_turns_with_the_body_is_found_and_undone(bends) -> None:
         np.testing.assert_allclose(one, truth[i : i + 1], atol=1e-9)
 
 
-def test_after_it_the_labels_mean_is_met_also_when_they_are_noisy(bends) -> None:
+def test_corrected_predictions_have_the_mean_of_noisy_labels(bends) -> None:
     truth, scale = bends
     labels = truth + np.random.default_rng(0).normal(0, 0.5, truth.shape)
     offset = systematic_bias(shifted(truth, 0.3, -0.5, scale), labels, geometry(scale))
@@ -76,7 +76,7 @@ def test_after_it_the_labels_mean_is_met_also_when_they_are_noisy(bends) -> None
     np.testing.assert_allclose(left.mean(axis=0), 0, atol=0.01)
 
 
-def test_an_error_that_changes_as_the_end_turns_comes_off_as_far_as_noise_lets_see_it() -> None:
+def test_a_bias_that_changes_with_orientation_is_corrected_within_the_noise() -> None:
     angles = np.linspace(0, 180, FRAMES)
     truth = arms(angles, SCALE)
     # Across a tip that the light falls on from one side: 1.5 px to the one side, later to the other.
@@ -97,7 +97,7 @@ def test_an_error_that_changes_as_the_end_turns_comes_off_as_far_as_noise_lets_s
     assert np.linalg.norm(steps[1, 2:], axis=1).max() < 1.6
 
 
-def test_a_label_on_the_wrong_spot_and_missing_ones_change_nothing(bends) -> None:
+def test_outliers_and_missing_labels_do_not_change_the_bias(bends) -> None:
     truth, scale = bends
     labels = truth + np.random.default_rng(1).normal(0, 0.5, truth.shape)
     labels[:, 0] = np.nan
@@ -108,7 +108,7 @@ def test_a_label_on_the_wrong_spot_and_missing_ones_change_nothing(bends) -> Non
     np.testing.assert_allclose(systematic_bias(truth, labels, geometry(scale)), before, atol=1e-6)
 
 
-def test_thousands_of_labels_are_no_more_than_numbers_hold() -> None:
+def test_thousands_of_labels_do_not_underflow() -> None:
     rng = np.random.default_rng(4)
     truth = arms(rng.uniform(0, 180, 3000), np.ones(3000))
     found = truth + rng.normal(0, 0.01, truth.shape)
@@ -121,14 +121,14 @@ def test_thousands_of_labels_are_no_more_than_numbers_hold() -> None:
     assert 0.9 < error[3].max() < 1.0
 
 
-def test_one_label_of_a_keypoint_gives_its_offset() -> None:
+def test_one_label_of_a_keypoint_gives_its_bias() -> None:
     truth = arms(np.array([30.0]), np.ones(1))
     offset = systematic_bias(shifted(truth, 0.3, -0.5, np.ones(1)), truth, geometry(np.ones(1)))
     np.testing.assert_allclose(offset[2, 0], [-0.3, 0.5])
     assert not offset[:, 1:].any()
 
 
-def test_labels_lose_the_noise_that_is_not_the_networks() -> None:
+def test_labelling_noise_is_removed_and_the_networks_noise_is_not_added() -> None:
     """Four keypoints on a moving body: the network knows two, is unsure of one along the body, and lost at the last."""
     rng = np.random.default_rng(2)
     along = np.array([[0.0, 0.0], [30.0, 0.0], [60.0, 0.0], [90.0, 0.0]])
@@ -151,7 +151,7 @@ def test_labels_lose_the_noise_that_is_not_the_networks() -> None:
     np.testing.assert_array_equal(few, labels[:4])
 
 
-def test_a_label_far_from_what_was_found_stays_and_so_do_all_where_nothing_is_found_right() -> None:
+def test_outliers_keep_their_label_and_so_do_all_labels_of_a_keypoint_that_is_not_found() -> None:
     rng = np.random.default_rng(0)
     labels = rng.uniform(0, 100, (20, 1, 2))
     found = labels + rng.normal(1.0, 0.3, labels.shape)
@@ -168,7 +168,7 @@ def test_a_label_far_from_what_was_found_stays_and_so_do_all_where_nothing_is_fo
     np.testing.assert_allclose(agreed, labels, atol=1e-9)
 
 
-def test_what_rests_in_a_video_is_at_one_place_there() -> None:
+def test_a_keypoint_at_rest_in_a_video_has_one_position_there() -> None:
     rng = np.random.default_rng(2)
     place = np.array([[50.0, 40.0]])
     labels = place + rng.normal(0, 1, (20, 1, 2))
@@ -189,3 +189,13 @@ def test_what_rests_in_a_video_is_at_one_place_there() -> None:
     for count in (20, 4):
         own, _ = denoised_positions(moving[:count], moving[:count] + 1.0, geometry(SCALE[:count], (0,)))
         assert len(np.unique(own[:, 0, 0])) == count
+
+
+def test_no_function_writes_into_its_arguments(bends) -> None:
+    truth, scale = bends
+    labels = truth + np.random.default_rng(0).normal(0, 0.5, truth.shape)
+    given = [truth.copy(), labels.copy(), scale.copy()]
+    denoised_positions(labels, truth, geometry(scale))
+    systematic_bias(truth, labels, geometry(scale))
+    for before, after in zip(given, (truth, labels, scale), strict=True):
+        np.testing.assert_array_equal(before, after)

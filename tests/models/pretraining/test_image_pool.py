@@ -1,4 +1,4 @@
-"""Batches cut from a pool of rendered pictures: they show where the points are, and what is hidden is known to be."""
+"""Batches from the pool of rendered images: keypoints lie on the marks, occluded ones are marked as absent."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def plain(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(f"{module}.change_batch", lambda images, rng: images)
 
 
-def test_the_truth_of_a_batch_is_where_the_spots_are(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_targets_of_a_batch_lie_on_the_marks(monkeypatch: pytest.MonkeyPatch) -> None:
     plain(monkeypatch)
     pool = ImagePool(4, CPU)
     pool.add(dots(4))
@@ -54,7 +54,7 @@ def test_the_truth_of_a_batch_is_where_the_spots_are(monkeypatch: pytest.MonkeyP
         assert np.percentile(dark, 2) > 170
 
 
-def test_patches_are_cut_around_keypoints_and_turned_by_their_partners() -> None:
+def test_patches_are_cut_around_keypoints_and_rotated_upright() -> None:
     pool = ImagePool(16, CPU)
     pool.add(render_batch(5, range(16)))
     locate, refine = pool.batches(16, 8, 3, np.random.default_rng(2))
@@ -71,7 +71,7 @@ def test_patches_are_cut_around_keypoints_and_turned_by_their_partners() -> None
     assert np.median(np.abs(turn)) < 30
 
 
-def test_a_batch_depends_on_its_seed_and_on_the_pictures_only() -> None:
+def test_a_batch_depends_on_its_seed_and_on_the_images_only() -> None:
     def batches(seed: int) -> tuple[Batch, Batch]:
         pool = ImagePool(6, CPU)
         pool.add(render_batch(5, range(6)))
@@ -84,7 +84,7 @@ def test_a_batch_depends_on_its_seed_and_on_the_pictures_only() -> None:
     assert not torch.equal(one[0].images, other[0].images)
 
 
-def test_the_oldest_pictures_give_way() -> None:
+def test_new_images_replace_the_oldest() -> None:
     pool = ImagePool(4, CPU)
     pool.add(render_batch(5, range(3)))
     assert len(pool) == 3
@@ -92,20 +92,20 @@ def test_the_oldest_pictures_give_way() -> None:
     assert (len(pool), pool.added) == (4, 6)
 
 
-def test_what_lies_in_the_way_hides_what_is_under_it() -> None:
+def test_occluders_hide_the_keypoints_under_them() -> None:
     rng = np.random.default_rng(3)
     images = torch.full((200, 3, 40, 40), -1.0)
     xy = rng.uniform(0, 39, (200, 5, 2))
-    shown, hidden = occlude_batch(images, xy, rng)
+    occluded, hidden = occlude_batch(images, xy, rng)
     assert 0.01 < hidden.mean() < 0.1
     column, row = np.round(xy).astype(int).transpose(2, 0, 1)
-    touched = shown.numpy()[np.arange(200)[:, None], 0, row, column] != -1.0
+    touched = occluded.numpy()[np.arange(200)[:, None], 0, row, column] != -1.0
     # Of one colour it shows; cut from another of these pictures, which look alike, it does not.
     assert touched[~hidden].mean() < 0.02
     assert 0.3 < touched[hidden].mean() < 0.7
 
 
-def test_changed_pictures_stay_pictures() -> None:
+def test_augmented_images_stay_in_range() -> None:
     images = torch.rand(64, 3, 16, 16, generator=torch.Generator().manual_seed(0)) * 255
     images = change_batch(images, np.random.default_rng(4))
     assert images.shape == (64, 3, 16, 16)
