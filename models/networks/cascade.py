@@ -108,11 +108,11 @@ class TorchPredictor:
         self.peaks = peaks
 
     @torch.inference_mode()
-    def __call__(self, images: ImageArray) -> Detections:
+    def __call__(self, pictures: ImageArray) -> Detections:
         """All keypoints in images (N, 3, H, W) uint8 RGB: positions and covariances in their px."""
         # TensorFloat-32 would change positions by up to a tenth of a px on a GPU.
         with torch.backends.cudnn.flags(enabled=True, allow_tf32=False):
-            found = decode(self.network(torch.from_numpy(images).to(self.network.mean.device)), self.peaks)
+            found = decode(self.network(torch.from_numpy(pictures).to(self.network.mean.device)), self.peaks)
         return Detections(_float64(found.xy), _float64(found.likelihood), _float64(found.covariance))
 
 

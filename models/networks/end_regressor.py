@@ -66,8 +66,8 @@ class TorchEndRegressor:
         self.ends = network.pairs
 
     @torch.inference_mode()
-    def __call__(self, images: ImageArray) -> FloatArray:
+    def __call__(self, pictures: ImageArray) -> FloatArray:
         """Pose corrections (N, E, 3) in crops (N, 3, END_SIDE, END_SIDE) uint8 RGB."""
         with torch.backends.cudnn.flags(enabled=True, allow_tf32=False):
-            steps = self.network(torch.from_numpy(images).to(self.network.rest.device))
+            steps = self.network(torch.from_numpy(pictures).to(self.network.rest.device))
         return steps.cpu().numpy().astype(np.float64)

@@ -383,14 +383,14 @@ class _Pretrainer:
             start=self.settings.init,
             mapping={},
         )
-        save_state(self.state_file, state, self.networks.learners)
+        save_state(self.state_file, state, self.networks.optimisers)
         write_rows(self.folder, self.rows)
 
     def _saved_state(self) -> TrainingState:
         """The state that was last saved; its weights are loaded into the networks."""
         if not self.state_file.is_file():
             raise TrainingError(f"--resume: expected an unfinished pretraining in {self.folder}, got none")
-        return load_state(self.state_file, self.networks.learners, self.settings.identity)
+        return load_state(self.state_file, self.networks.optimisers, self.settings.identity)
 
 
 def _load_initial_weights(network: Cascade, settings: PretrainingSettings) -> None:

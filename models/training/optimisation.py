@@ -152,7 +152,7 @@ class TwoNetworkTrainer:
 
     Attributes
     ----------
-    learners : dict from str to NetworkOptimiser
+    optimisers : dict from str to NetworkOptimiser
         Both optimisers, by the names that their networks have in a cascade.
     average : Cascade
         The networks with averaged weights.
@@ -171,7 +171,7 @@ class TwoNetworkTrainer:
             NetworkOptimiser(part, average=average, weight_decay=weight_decay, cell_weight=cell_weight)
             for part in (network.locator, network.refiner)
         )
-        self.learners = {"locator": locator, "refiner": refiner}
+        self.optimisers = {"locator": locator, "refiner": refiner}
         self._locator_share = locator_share
         self.average = Cascade.of(locator.average, refiner.average)
         self._pool = ThreadPoolExecutor(max_workers=1)
@@ -213,9 +213,9 @@ class TwoNetworkTrainer:
             A loss or its gradient is not finite.
         """
         locator_loss = self._pool.submit(
-            self.learners["locator"].learn, locate, step, learning_rate * self._locator_share
+            self.optimisers["locator"].learn, locate, step, learning_rate * self._locator_share
         )
-        refiner, first = self.learners["refiner"], step * len(refine)
+        refiner, first = self.optimisers["refiner"], step * len(refine)
         losses = [refiner.learn(batch, first + i, learning_rate) for i, batch in enumerate(refine)]
         return locator_loss.result() + sum(losses) / len(losses)
 

@@ -195,7 +195,7 @@ class _Trainer:
                 rows=[],
                 best=None,
                 best_step=0,
-                targets=data.labels.copy(),
+                targets=np.array(data.labels, dtype=np.float64),
                 start=start,
                 mapping=mapping,
             )
@@ -354,14 +354,14 @@ class _Trainer:
     def save_state(self) -> None:
         """Write all that a resumed training needs, and training.csv, each whole or not at all."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        save_state(self.state_file, self.state, self.networks.learners)
+        save_state(self.state_file, self.state, self.networks.optimisers)
         write_rows(self.folder, self.state.rows)
 
     def _saved_state(self) -> TrainingState:
         """The state that was last saved; its weights are loaded into the networks."""
         if not self.state_file.is_file():
             raise TrainingError(f"--resume: expected an unfinished training in {self.folder}, got none")
-        return load_state(self.state_file, self.networks.learners, self.data.identity(self.settings))
+        return load_state(self.state_file, self.networks.optimisers, self.data.identity(self.settings))
 
 
 def _denoiser(data: TrainingData, settings: TrainingSettings, device: torch.device | None) -> TargetDenoiser:
