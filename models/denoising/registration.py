@@ -35,7 +35,7 @@ STEPS = 8
 """Gauss-Newton steps. With twelve, crops agree better with each other but their poses less with the truth (rendered
 actuators)."""
 
-MAX_STEP_PX, MAX_STEP_RAD = 2.0, 0.1
+GAUSS_NEWTON_LIMIT_PX, GAUSS_NEWTON_LIMIT_RAD = 2.0, 0.1
 """Largest step along either axis (px of the end's crop) and in rotation (rad): a linearised step further than that is
 not valid."""
 
@@ -217,7 +217,7 @@ def _gauss_newton_step(features: Tensor) -> FloatArray:
     hessian = torch.einsum("nhw,hwij->nij", robust, hessian)
     gradient = torch.einsum("nchw,chw,chwi->nhwi", residual, weight, jacobian)
     gradient = torch.einsum("nhw,nhwi->ni", robust, gradient)
-    largest = np.array([MAX_STEP_PX, MAX_STEP_PX, MAX_STEP_RAD])
+    largest = np.array([GAUSS_NEWTON_LIMIT_PX, GAUSS_NEWTON_LIMIT_PX, GAUSS_NEWTON_LIMIT_RAD])
     solution = torch.linalg.solve(hessian.double(), gradient.double()).cpu().numpy()
     step: FloatArray = np.clip(-solution, -largest, largest)
     return step - step.mean(axis=0)
