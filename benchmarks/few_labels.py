@@ -40,7 +40,7 @@ from bendtrack.tracker.synthetic.stream import (
     KEYPOINTS,
     TRAINING,
     Look,
-    Stage,
+    Renderer,
     before_other_background,
     drawn_look,
     in_other_light,
@@ -74,13 +74,13 @@ class Film:
 
 def filmed(path: Path, look: Look, frames: int) -> Film:
     """A slow inflation of a look, encoded; its exposure drifts where the look's does."""
-    stage = Stage(look)
+    stage = Renderer(look)
     ends = [KEYPOINTS.index(name) for name in ENDS]
     xy, angle_deg, seen = [], [], []
     with VideoWriter(path, SIZE_WH, frame_rate=30) as writer:
         for index, bend in enumerate(inflation_deg(look, frames)):
             sample = stage.frame(float(bend), noise_seed=index, moment=index / frames)
-            writer.write(sample.picture)
+            writer.write(sample.image)
             xy.append(sample.keypoints_xy[ends])
             angle_deg.append(sample.angle_deg)
             seen.append(sample.visible[ends].all())

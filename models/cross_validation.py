@@ -1,4 +1,7 @@
-"""K-fold cross-validation: every labelled frame judged once by a network that has not seen it."""
+"""K-fold cross-validation: every labelled frame is evaluated once, by a network that was not trained on it.
+
+How one network is trained is in `training`, how it is evaluated in `evaluation`.
+"""
 
 from __future__ import annotations
 
@@ -28,21 +31,37 @@ def cross_validate(
     *,
     progress: Callable[[int, Progress], None] | None = None,
 ) -> Evaluation:
-    """Train `folds` networks, each without one part of the frames, and judge each on that part.
+    """Train `folds` networks, each without one fold of the frames, and evaluate each on its fold.
 
-    Nothing is held out within a fold, so each network learns from all of the other parts, and no choice in its
-    training has seen the part that it is judged on. The networks are not kept.
+    Nothing is held out within a training: each network is trained on all other folds, and no choice in its training
+    depends on the fold that it is evaluated on. The networks are not kept.
 
     Parameters
     ----------
-    frames : labelled frames; every actuator's are spread over all parts
-    folds : at least 2, at most the number of labelled frames
-    progress : is told the fold (from 0) and its training's progress
+    frames : sequence of LabelledFrame
+        Every actuator's are spread over all folds; those without any label are skipped.
+    keypoints : sequence of K str
+    definition : AngleDefinition
+    settings : TrainingSettings
+        Of every training; its `held_out` is ignored.
+    folds : int
+        At least 2, at most the number of labelled frames.
+    progress : callable, optional
+        Called with the fold, from 0, and the progress of its training.
+
+    Returns
+    -------
+    Evaluation
+        Of all labelled frames.
 
     Raises
     ------
     TrainingError
-        `folds` does not fit the number of frames.
+        `folds` does not fit the number of frames, or a loss is not finite.
+    LabelError
+        A keypoint is labelled in one fold only, or an image cannot be read.
+    WeightsError
+        The initial weights cannot be loaded.
     """
     labelled = [frame for frame in frames if not np.isnan(frame.xy).all()]
     if not 2 <= folds <= len(labelled):
@@ -50,11 +69,11 @@ def cross_validate(
             f"--folds: expected 2 to {len(labelled)} (the number of labelled frames), got {folds}"
         )
     settings = replace(settings, held_out=0.0)
-    part = fold_of_each(labelled, folds, settings.seed)
+    fold_of = fold_of_each(labelled, folds, settings.seed)
     evaluations = []
     for fold in range(folds):
-        rest = [frame for frame, own in zip(labelled, part, strict=True) if own != fold]
-        left_out = [frame for frame, own in zip(labelled, part, strict=True) if own == fold]
+        rest = [frame for frame, own in zip(labelled, fold_of, strict=True) if own != fold]
+        left_out = [frame for frame, own in zip(labelled, fold_of, strict=True) if own == fold]
         with tempfile.TemporaryDirectory(prefix="bendtrack-fold-") as folder:
             checkpoint = train(
                 rest,
@@ -75,13 +94,25 @@ def cross_validate(
 
 
 def fold_of_each(frames: Sequence[LabelledFrame], folds: int, seed: int) -> list[int]:
-    """Which part each frame belongs to: random, every actuator's frames spread evenly."""
+    """Assign frames to folds at random, every actuator's evenly.
+
+    Parameters
+    ----------
+    frames : sequence of N LabelledFrame
+    folds : int
+    seed : int
+
+    Returns
+    -------
+    list of N int
+        Each frame's fold, from 0.
+    """
     rng = np.random.default_rng([seed, 3])
-    part = [0] * len(frames)
-    dealt = 0
+    fold_of = [0] * len(frames)
+    assigned = 0
     for actuator in sorted({frame.actuator for frame in frames}):
         own = [i for i, frame in enumerate(frames) if frame.actuator == actuator]
         for i in rng.permutation(own).tolist():
-            part[i] = dealt % folds
-            dealt += 1
-    return part
+            fold_of[i] = assigned % folds
+            assigned += 1
+    return fold_of

@@ -1,6 +1,6 @@
-"""How far a network is from labels: px and degrees, per keypoint and actuator, on frames it has not trained on.
+"""Evaluation of a network against labels: errors in px and degrees, by keypoint and by actuator.
 
-The figures are drawn in `figures.py`.
+Figures are drawn in `figures`.
 """
 
 from __future__ import annotations
@@ -24,14 +24,17 @@ from .networks.checkpoint import Checkpoint
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Predictions beside labels for the same N frames.
+    """Detections and labels of the same N frames.
 
     Attributes
     ----------
-    frames : the labelled frames
-    found : what the network found in them
-    keypoints, definition : names and angle
-    n_trained : frames that the network was trained on (the n of the label-noise floor)
+    frames : sequence of N LabelledFrame
+    found : Detections
+        The network's, in these frames.
+    keypoints : tuple of K str
+    definition : AngleDefinition
+    n_trained : int
+        Frames that the network was trained on: the n of the label-noise floor.
     """
 
     frames: Sequence[LabelledFrame]
@@ -47,31 +50,31 @@ class Evaluation:
 
     @property
     def error_px(self) -> FloatArray:
-        """Distance between found and labelled positions, (N, K) px, NaN where not labelled."""
+        """Distance of detections from labels, (N, K) px, NaN where not labelled."""
         return np.linalg.norm(self.found.xy - self.labels, axis=2)
 
     @property
     def angle_error_deg(self) -> FloatArray:
-        """Found minus labelled angle, (N,) degrees, NaN where a point of the angle is not labelled."""
+        """Detected minus labelled angle, (N,) degrees, NaN where a keypoint of the angle is not labelled."""
         found, _, _ = bending_angle(self.found.xy, self.keypoints, self.definition)
         labelled, _, _ = bending_angle(self.labels, self.keypoints, self.definition)
         return found - labelled
 
     def summary(self) -> dict[str, Any]:
-        """All figures, JSON-ready. Lengths px, angles degrees."""
+        """All statistics, JSON-ready: lengths in px, angles in degrees."""
         error, angle = self.error_px, self.angle_error_deg
         actuators = np.array([frame.actuator for frame in self.frames])
         length = end_vector_px(self.labels, self.keypoints, self.definition)
         return {
             "n_frames": len(self.frames),
             "n_trained": self.n_trained,
-            "error_px": _figures(error),
-            "angle_error_deg": _figures(np.abs(angle)),
-            "per_keypoint_px": {name: _figures(error[:, k]) for k, name in enumerate(self.keypoints)},
+            "error_px": _statistics(error),
+            "angle_error_deg": _statistics(np.abs(angle)),
+            "per_keypoint_px": {name: _statistics(error[:, k]) for k, name in enumerate(self.keypoints)},
             "per_actuator": {
                 str(name): {
-                    "error_px": _figures(error[actuators == name]),
-                    "angle_error_deg": _figures(np.abs(angle[actuators == name])),
+                    "error_px": _statistics(error[actuators == name]),
+                    "angle_error_deg": _statistics(np.abs(angle[actuators == name])),
                 }
                 for name in sorted(set(actuators.tolist()))
             },
@@ -96,12 +99,23 @@ def evaluate(
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> Evaluation:
-    """Find the keypoints in labelled frames and set them beside the labels.
+    """Detect the keypoints in labelled frames, each frame by itself.
+
+    Parameters
+    ----------
+    checkpoint : Checkpoint
+    frames : sequence of N LabelledFrame
+    progress : callable, optional
+        Called after each frame with the number of frames done, and of all.
+
+    Returns
+    -------
+    Evaluation
 
     Raises
     ------
     LabelError
-        No frames, or a picture that cannot be read.
+        There are no frames, or an image cannot be read.
     """
     if not frames:
         raise LabelError("evaluation: expected at least one labelled frame, got none")
@@ -116,19 +130,34 @@ def evaluate(
 
 
 def not_trained_on(checkpoint: Checkpoint, frames: Sequence[LabelledFrame]) -> list[LabelledFrame]:
-    """The frames that a checkpoint has not seen: held out in its training, or labelled since."""
+    """The frames that a checkpoint was not trained on: held out, or labelled since."""
     trained = set(checkpoint.training.get("trained_on", []))
     return [frame for frame in frames if frame_id(frame) not in trained]
 
 
 def write_evaluation(evaluation: Evaluation, path: Path, **more: Any) -> dict[str, Any]:
-    """Write `evaluation.json`, with further entries when given; returns what was written."""
+    """Write an evaluation's summary as JSON.
+
+    Parameters
+    ----------
+    evaluation : Evaluation
+    path : Path
+        Of `evaluation.json`.
+    **more
+        Further entries, JSON-ready.
+
+    Returns
+    -------
+    dict
+        What was written.
+    """
     summary = {**more, **evaluation.summary()}
     atomic_write_text(path, json.dumps(summary, indent=2) + "\n")
     return summary
 
 
-def _figures(values: FloatArray) -> dict[str, float | int | None]:
+def _statistics(values: FloatArray) -> dict[str, float | int | None]:
+    """Statistics of the values that are not NaN, rounded to four decimals."""
     values = values[~np.isnan(values)]
     if not values.size:
         return {"n": 0, "rms": None, "mean": None, "median": None, "p95": None, "max": None}
@@ -143,4 +172,5 @@ def _figures(values: FloatArray) -> dict[str, float | int | None]:
 
 
 def _number(value: float) -> float | None:
+    """The value rounded to four decimals, None where it is not finite: JSON has no NaN."""
     return round(float(value), 4) if np.isfinite(value) else None

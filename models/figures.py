@@ -1,4 +1,4 @@
-"""Pictures of an evaluation: the learning curve, the spread of the errors, and the frames that went worst.
+"""Figures of an evaluation: the learning curve, the distribution of errors, and the frames with the largest errors.
 
 matplotlib through its object interface only: no global state, no display.
 """
@@ -20,20 +20,29 @@ from .data.images import read_image
 from .evaluation import Evaluation
 
 WORST_FRAMES = 6
+"""Frames shown in worst-frames.png."""
 
 WIDE_LOG_AXIS = 4.0
 """Ratio of the ends of an axis above which there are at least two of 1, 2, 5, 10, ... on it."""
 
-_LABEL, _FOUND = "#0072B2", "#D55E00"
-"""Okabe & Ito's blue and vermilion: told apart by everyone, and by shape besides (ring and cross)."""
+_LABEL, _DETECTED = "#0072B2", "#D55E00"
+"""Blue and vermilion of Okabe & Ito, which colour-blind readers can distinguish; the markers differ in shape too."""
 
 
 def write_figures(evaluation: Evaluation, rows: Sequence[dict[str, float]], folder: Path) -> list[Path]:
-    """Write learning-curve.png (when there are `rows` of training.csv), errors.png and worst-frames.png.
+    """Write errors.png, worst-frames.png and, where there are rows, learning-curve.png.
+
+    Parameters
+    ----------
+    evaluation : Evaluation
+    rows : sequence of dict
+        Rows of training.csv.
+    folder : Path
 
     Returns
     -------
-    the files written
+    list of Path
+        The files written.
     """
     folder.mkdir(parents=True, exist_ok=True)
     figures = {"errors.png": _errors(evaluation), "worst-frames.png": _worst(evaluation)}
@@ -96,7 +105,7 @@ def _errors(evaluation: Evaluation) -> Figure:
 
 
 def _cumulative(values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The share of the known values that are at most x, as a staircase from (0, 0)."""
+    """Empirical cumulative distribution of the values that are not NaN, as steps from (0, 0)."""
     known = np.sort(values[~np.isnan(values)])
     return np.concatenate([[0.0], known]), np.arange(len(known) + 1) / max(len(known), 1)
 
@@ -113,13 +122,11 @@ def _worst(evaluation: Evaluation) -> Figure:
     for axes, i in zip(cells, order, strict=False):
         frame = evaluation.frames[i]
         labels, found = evaluation.labels[i], evaluation.found.xy[i]
-        picture = read_image(frame)
-        left, top, right, bottom = _around(np.vstack([labels, found]), picture.shape[1::-1])
-        axes.imshow(
-            picture[top:bottom, left:right], extent=(left - 0.5, right - 0.5, bottom - 0.5, top - 0.5)
-        )
+        image = read_image(frame)
+        left, top, right, bottom = _around(np.vstack([labels, found]), image.shape[1::-1])
+        axes.imshow(image[top:bottom, left:right], extent=(left - 0.5, right - 0.5, bottom - 0.5, top - 0.5))
         axes.plot(*labels.T, "o", mec=_LABEL, mfc="none", ms=8, mew=1.6, label="label")
-        axes.plot(*found.T, "x", color=_FOUND, ms=7, mew=1.6, label="found")
+        axes.plot(*found.T, "x", color=_DETECTED, ms=7, mew=1.6, label="found")
         worst = int(np.nanargmax(np.nan_to_num(evaluation.error_px[i], nan=-1.0)))
         axes.set_title(
             f"{frame.video}/{frame.image_path.name}\n{evaluation.keypoints[worst]} {error[i]:.1f} px off",
@@ -131,10 +138,10 @@ def _worst(evaluation: Evaluation) -> Figure:
 
 
 def _around(points: FloatArray, size_wh: Sequence[int]) -> tuple[int, int, int, int]:
-    """The part of the picture that holds all points, with room: left, top, right, bottom."""
+    """Crop of an image that holds all points (M, 2) px with a margin: left, top, right, bottom, px."""
     points = points[~np.isnan(points).any(axis=1)]
     low, high = points.min(axis=0), points.max(axis=0)
-    room = max(24.0, 0.25 * float((high - low).max()))
-    left, top = np.maximum(np.floor(low - room), 0).astype(int).tolist()
-    right, bottom = np.minimum(np.ceil(high + room), size_wh).astype(int).tolist()
+    margin = max(24.0, 0.25 * float((high - low).max()))
+    left, top = np.maximum(np.floor(low - margin), 0).astype(int).tolist()
+    right, bottom = np.minimum(np.ceil(high + margin), size_wh).astype(int).tolist()
     return left, top, max(right, left + 2), max(bottom, top + 2)

@@ -186,7 +186,7 @@ PROJECTS: dict[str, tuple[Callable[[Project], object], str]] = {
     ),
     "picture damaged": (
         lambda p: (p.labels_dir / "arm" / "img00004.png").write_bytes(b"no picture"),
-        "expected a picture at",
+        "expected an image at",
     ),
     "a word for a number": (
         lambda p: edit(label_file(p), "12.0,22.0", "left,22.0"),

@@ -122,9 +122,9 @@ def self_train(
         reference,
         SETTINGS.batch_frames,
         SETTINGS.seed,
-        most=KEYPOINTS_PER_FRAME,
+        max_keypoints=KEYPOINTS_PER_FRAME,
         refiner_batches=1,
-        wrong=[
+        negatives=[
             _negative_frame(probe_frames[i], labels.xy[i], labels.negative[i], region)
             for i in np.flatnonzero(labels.negative.any(axis=1)).tolist()
         ],

@@ -1,1 +1,1 @@
-"""What networks are trained on: labelled frames, their augmentation, and rendered actuators."""
+"""Data that networks are trained on: labelled frames, their augmentation, and rendered actuators."""

@@ -1,5 +1,5 @@
-"""Random changes to training pictures that a webcam on an actuator could have made: light, colour, blur, noise,
-things in the way. Geometry (rotation, scale, shift) is drawn where the views are cut, in `dataset.py`.
+"""Photometric augmentation of single training images, as a webcam could have taken them: light, colour, blur, noise,
+occluders. Geometric augmentation (rotation, scale, shift) happens where crops are cut, in `training.batches`.
 """
 
 from __future__ import annotations
@@ -11,24 +11,35 @@ from ...tracker.types import ImageArray
 
 Rng = np.random.Generator
 
-OTHER_ROOM, FURTHER = 0.5, 2.5
-"""Share of pictures whose light is changed as much as between two rooms, and how much more that is."""
+STRONG_SHARE, STRONG_FACTOR = 0.5, 2.5
+"""Share of images whose light changes as strongly as between two rooms, and the factor on the standard deviations
+there; the others change as between two hours of a day."""
 
 
 def change_light(image: ImageArray, rng: Rng) -> ImageArray:
-    """Exposure, contrast, gamma and colour cast, one random draw for the picture: half as between two hours of a
-    day, half as between two rooms."""
+    """Change exposure, contrast, gamma and colour cast by one random draw for the whole image.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8 array
+        RGB.
+    rng : numpy Generator
+
+    Returns
+    -------
+    (H, W, 3) uint8 array
+    """
     level = np.arange(256, dtype=np.float32) / 255
-    far = FURTHER if rng.random() < OTHER_ROOM else 1.0
-    gamma = np.exp(rng.normal(0, 0.15 * far))
-    gain = np.exp(rng.normal(0, 0.12 * far) + rng.normal(0, 0.04 * far, size=3))
-    shift = rng.normal(0, 0.05 * far) + rng.normal(0, 0.02 * far, size=3)
+    strength = STRONG_FACTOR if rng.random() < STRONG_SHARE else 1.0
+    gamma = np.exp(rng.normal(0, 0.15 * strength))
+    gain = np.exp(rng.normal(0, 0.12 * strength) + rng.normal(0, 0.04 * strength, size=3))
+    shift = rng.normal(0, 0.05 * strength) + rng.normal(0, 0.02 * strength, size=3)
     table = (level[:, None] ** gamma - 0.5) * gain + 0.5 + shift
     return cv2.LUT(image, np.clip(table * 255, 0, 255).astype(np.uint8)[None])
 
 
 def blur(image: ImageArray, rng: Rng) -> ImageArray:
-    """Defocus or motion blur, about a px, in two of five pictures."""
+    """Blur an image (H, W, 3) uint8 by defocus (25 % of images) or motion (15 %), about 1 px."""
     draw = rng.random()
     if draw < 0.25:
         return cv2.GaussianBlur(image, (0, 0), rng.uniform(0.3, 1.0))
@@ -48,7 +59,7 @@ def blur(image: ImageArray, rng: Rng) -> ImageArray:
 
 
 def add_noise(image: ImageArray, rng: Rng) -> ImageArray:
-    """Sensor noise of up to 3 % in half of the pictures."""
+    """Add sensor noise, sd up to 8 of 255 levels, to half of the images (H, W, 3) uint8."""
     if rng.random() < 0.5:
         return image
     noise = rng.standard_normal(image.shape, dtype=np.float32) * rng.uniform(1.0, 8.0)
@@ -56,11 +67,18 @@ def add_noise(image: ImageArray, rng: Rng) -> ImageArray:
 
 
 def occlude(image: ImageArray, rng: Rng) -> tuple[ImageArray, ImageArray]:
-    """Put something in the way in half of the pictures.
+    """Put one or two occluders into half of the images.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8 array
+    rng : numpy Generator
 
     Returns
     -------
-    the picture, and a mask uint8 (H, W) that is 255 where it is hidden
+    image : (H, W, 3) uint8 array
+    mask : (H, W) uint8 array
+        255 where the image is occluded, else 0.
     """
     h, w = image.shape[:2]
     mask = np.zeros((h, w), np.uint8)
@@ -74,17 +92,17 @@ def occlude(image: ImageArray, rng: Rng) -> tuple[ImageArray, ImageArray]:
         else:
             box = cv2.boxPoints((centre, (2 * axes[0], 2 * axes[1]), float(rng.uniform(0, 180))))
             cv2.fillPoly(mask, [np.round(box).astype(np.int32)], 255)
-    # What hides is of one colour, often the actuator's own, or another piece of the scene: colour alone never tells.
+    # An occluder has one colour, often the actuator's own, or shows another part of the scene: colour alone must not
+    # give it away.
     if rng.random() < 0.5:
         cover = np.empty_like(image)
-        own = image[rng.integers(h), rng.integers(w)]
-        cover[:] = own if rng.random() < 0.5 else rng.integers(0, 256, size=3, dtype=np.uint8)
+        from_scene = image[rng.integers(h), rng.integers(w)]
+        cover[:] = from_scene if rng.random() < 0.5 else rng.integers(0, 256, size=3, dtype=np.uint8)
     else:
         cover = np.roll(image, (int(rng.integers(h)), int(rng.integers(w))), axis=(0, 1))
-    hidden = mask[..., None] > 0
-    return np.where(hidden, cover, image), mask
+    return np.where(mask[..., None] > 0, cover, image), mask
 
 
-def change_picture(image: ImageArray, rng: Rng) -> ImageArray:
-    """Light, blur and noise together, in the order in which a camera applies them."""
+def change_image(image: ImageArray, rng: Rng) -> ImageArray:
+    """Change light, blur and noise of an image (H, W, 3) uint8, in the order in which a camera applies them."""
     return add_noise(blur(change_light(image, rng), rng), rng)

@@ -1,4 +1,4 @@
-"""Labelled frames in memory, resized once to the two scales at which the networks look."""
+"""Labelled frames in memory, resized once to the scales of the locator and of the refiner."""
 
 from __future__ import annotations
 
@@ -13,16 +13,24 @@ from ..inference.roi import RegionOfInterest
 
 @dataclass(frozen=True)
 class PreparedFrame:
-    """A labelled frame at the two scales. Positions stay in frame px; the views carry them over.
+    """A labelled frame at both networks' scales.
+
+    Positions are in px of the frame as it was read; the views map them into the resized images.
 
     Attributes
     ----------
-    coarse : the frame at the locator's scale
-    fine : the frame at the refiner's scale, or as it is where the refiner magnifies
-    coarse_view, fine_view : from frame px to px of those
-    xy : (K, 2) frame px, NaN where not labelled
-    region : the working region of frames of this size
-    in_sight : (K,) bool, False where the keypoint is known to lie behind something
+    coarse : (h, w, 3) uint8 array
+        The frame at the locator's scale.
+    fine : (h, w, 3) uint8 array
+        The frame at the refiner's scale, or unchanged where the refiner magnifies.
+    coarse_view, fine_view : View
+        From frame px to px of `coarse` and `fine`.
+    xy : (K, 2) float array
+        Labels, frame px, NaN where not labelled.
+    region : RegionOfInterest
+        Of frames of this size.
+    visible : (K,) bool array
+        False where the keypoint is known to be occluded.
     """
 
     coarse: ImageArray
@@ -31,15 +39,28 @@ class PreparedFrame:
     fine_view: View
     xy: FloatArray
     region: RegionOfInterest
-    in_sight: BoolArray
+    visible: BoolArray
 
 
 def prepare(
-    image: ImageArray, xy: FloatArray, region: RegionOfInterest, in_sight: BoolArray | None = None
+    image: ImageArray, xy: FloatArray, region: RegionOfInterest, visible: BoolArray | None = None
 ) -> PreparedFrame:
-    """Resize a frame once to both scales, so that a training step only cuts and turns.
+    """Resize a frame once to both scales, so that a training step only cuts and rotates.
 
-    in_sight : as `PreparedFrame`'s; None where nobody says that something lies in the way
+    Parameters
+    ----------
+    image : (H, W, 3) uint8 array
+        RGB.
+    xy : (K, 2) float array
+        Labels, px, NaN where not labelled.
+    region : RegionOfInterest
+        Of frames of this size.
+    visible : (K,) bool array, optional
+        As `PreparedFrame.visible`; all True by default.
+
+    Returns
+    -------
+    PreparedFrame
     """
     coarse, fine = resize(image, region.locator_scale), resize(image, region.fine_scale)
     return PreparedFrame(
@@ -49,5 +70,5 @@ def prepare(
         fine_view=resized_view(region.fine_scale, (0, 0), (fine.shape[1], fine.shape[0])),
         xy=np.asarray(xy, dtype=np.float64),
         region=region,
-        in_sight=np.ones(len(xy), bool) if in_sight is None else in_sight,
+        visible=np.ones(len(xy), bool) if visible is None else visible,
     )

@@ -1,5 +1,6 @@
-"""Training pictures without labels: rendered actuators, stacked to be learnt from, and as labelled frames that a
-pretraining is judged by. What is drawn is in `tracker.synthetic.stream`.
+"""Rendered actuators as training data: image batches with exact keypoints, and prepared frames like a project's.
+
+What is rendered, and how, is in `tracker.synthetic.stream`.
 """
 
 from __future__ import annotations
@@ -16,41 +17,46 @@ from ..inference.affine import PATCH_SIDE, stacked
 from ..inference.roi import MAX_MAGNIFICATION, PATCH_BODY_SHARE, RegionOfInterest
 from .prepared import PreparedFrame, prepare
 
-PICTURE_SIDE = 320
-"""Bodies are 60 to 300 px long in such pictures, as in a webcam's: a patch of one is as sharp as there."""
+IMAGE_SIDE = 320
+"""Side of a rendered image, px. Bodies in it are 60 to 300 px long, as in a webcam's, so their patches are as sharp."""
 
-PICTURE_WH = (PICTURE_SIDE, PICTURE_SIDE)
+IMAGE_WH = (IMAGE_SIDE, IMAGE_SIDE)
 
 LOCATOR_INPUT = 96
-"""Side of the locator's input in pretraining: far cheaper than a project's, and the convolutions do not mind."""
+"""Side of the locator's input in pretraining, px. Far cheaper than a project's, and a convolutional network can be
+applied at another size later."""
 
 REFERENCE = tuple(KEYPOINTS.index(name) for name in (
     "base_2", "base_1", "mid_2", "mid_1", "mid_4", "mid_3", "mid_4", "tip_2", "tip_1",
 ))  # fmt: skip
-"""For each canonical keypoint its neighbour, by which its patch is turned."""
+"""Reference keypoint of each canonical keypoint: the neighbour that gives its patch a direction."""
 
 
-class Rendered(NamedTuple):
-    """N rendered pictures and what is learnt from them.
+class RenderedBatch(NamedTuple):
+    """N rendered images and their ground truth.
 
     Attributes
     ----------
-    pictures : (N, 3, PICTURE_SIDE, PICTURE_SIDE) uint8
-    xy : (N, K, 2) px
-    visible : (N, K) bool
-    body_px : (N,) length of the midline
+    images : (N, 3, IMAGE_SIDE, IMAGE_SIDE) uint8 array
+        RGB.
+    xy : (N, K, 2) float array
+        px.
+    visible : (N, K) bool array
+        False where a keypoint is occluded.
+    body_px : (N,) float array
+        Length of the midline, px.
     """
 
-    pictures: ImageArray
+    images: ImageArray
     xy: FloatArray
     visible: BoolArray
     body_px: FloatArray
 
 
-def rendered_pictures(seed: int, indices: Sequence[int]) -> Rendered:
-    """The stream's pictures of these numbers."""
-    samples = [draw(seed, index, size_wh=PICTURE_WH, families=TRAINING) for index in indices]
-    return Rendered(
+def render_batch(seed: int, indices: Sequence[int]) -> RenderedBatch:
+    """Render the stream's samples with these indices; each depends on (seed, index) only."""
+    samples = [draw(seed, index, size_wh=IMAGE_WH, families=TRAINING) for index in indices]
+    return RenderedBatch(
         stacked([sample.image for sample in samples]),
         np.stack([sample.keypoints_xy for sample in samples]),
         np.stack([sample.visible for sample in samples]),
@@ -59,29 +65,50 @@ def rendered_pictures(seed: int, indices: Sequence[int]) -> Rendered:
 
 
 def body_px(sample: Sample) -> float:
-    """Length of the midline."""
+    """Length of a sample's midline, px."""
     return float(np.linalg.norm(np.diff(sample.midline_xy, axis=0), axis=1).sum())
 
 
 def rendered_samples(seed: int, indices: Sequence[int]) -> Iterator[tuple[Sample, PreparedFrame]]:
-    """The stream's pictures of these numbers, as they are and as labelled frames at the scales of a project's."""
+    """Render the stream's samples with these indices, each with its labelled frame at a project's scales.
+
+    Yields
+    ------
+    sample : Sample
+        As it was rendered.
+    frame : PreparedFrame
+        With the canonical keypoints as labels.
+    """
     for index in indices:
-        sample = draw(seed, index, size_wh=PICTURE_WH, families=TRAINING)
-        fine = min(MAX_MAGNIFICATION, PATCH_SIDE / (PATCH_BODY_SHARE * body_px(sample)))
-        region = RegionOfInterest(PICTURE_WH, 0, 0, *PICTURE_WH, LOCATOR_INPUT / PICTURE_SIDE, fine)
+        sample = draw(seed, index, size_wh=IMAGE_WH, families=TRAINING)
+        refiner_scale = min(MAX_MAGNIFICATION, PATCH_SIDE / (PATCH_BODY_SHARE * body_px(sample)))
+        region = RegionOfInterest(IMAGE_WH, 0, 0, *IMAGE_WH, LOCATOR_INPUT / IMAGE_SIDE, refiner_scale)
         yield sample, prepare(sample.image, sample.keypoints_xy, region, sample.visible)
 
 
 def rendered_frames(
     seed: int, indices: Sequence[int], keypoints: Sequence[str], mapping: Mapping[str, str]
 ) -> list[PreparedFrame]:
-    """`rendered_samples` as frames with a project's keypoints, of which those are labelled that are canonical ones.
+    """`rendered_samples` as frames with a project's keypoints.
 
-    taken : the canonical keypoint of each that is one
+    Parameters
+    ----------
+    seed : int
+        Of the stream.
+    indices : sequence of int
+        Of the samples.
+    keypoints : sequence of K str
+        Names of the project's keypoints.
+    mapping : mapping from str to str
+        The canonical keypoint of each project keypoint that has one; the others are not labelled.
+
+    Returns
+    -------
+    list of PreparedFrame
     """
     rows = [KEYPOINTS.index(mapping[name]) if name in mapping else -1 for name in keypoints]
-    known = np.array(rows) >= 0
+    mapped = np.array(rows) >= 0
     return [
-        replace(frame, xy=np.where(known[:, None], frame.xy[rows], np.nan), in_sight=frame.in_sight[rows])
+        replace(frame, xy=np.where(mapped[:, None], frame.xy[rows], np.nan), visible=frame.visible[rows])
         for _, frame in rendered_samples(seed, indices)
     ]

@@ -1,1 +1,1 @@
-"""Positions to train on: the labels minus the noise of the hand that clicked them."""
+"""Label denoising: positions to train on, estimated from labels, predictions and images."""

@@ -1,12 +1,12 @@
-"""A moving end is rigid: what is seen of it in all labelled frames of a video is laid over each other.
+"""Joint registration of moving ends: all crops of an end, in one video, are registered to their mean.
 
-How an end lies in two frames relative to each other is seen in the pictures far more exactly than in two clicks, and
-with other errors than a network's own: outlines, marks and chambers count as far as they look the same wherever the end
-turns, light and background hardly do. What is compared are the features of the first residual stage of what comes with
-bendtrack; where an end lies on average is what labels and network say (`consensus`).
+An end is rigid, so images show how it lies in two frames relative to each other far more exactly than two clicks do,
+and with other errors than the network's: outlines, marks and chambers count as far as they look alike wherever the end
+turns; light and background hardly do. Compared are the features of the first residual stage of the shipped network.
+Where the end lies on average is not estimated here: labels and network say it (`robust_fit`).
 
-All frames are aligned to their mean at once (congealing, Learned-Miller 2006), each by Gauss-Newton steps (Baker &
-Matthews 2004, inverse compositional), every feature weighed by how little it varies from frame to frame.
+All frames are registered at once (congealing, Learned-Miller 2006), each by Gauss-Newton steps (inverse compositional,
+Baker & Matthews 2004), every feature weighted by the inverse of its variance over the frames.
 """
 
 from __future__ import annotations
@@ -25,24 +25,31 @@ from ..inference.roi import turned
 from ..networks.checkpoint import load_checkpoint
 from ..networks.heatmap_network import STRIDE, FirstStage, HeatmapNetwork
 from ..networks.shipped import shipped_network
+from .geometry import FrameGeometry
 
-WINDOW = END_SIDE / 4
-"""Standard deviation of how much a place counts by its distance from the end's middle, px of its closer picture."""
+WINDOW_SD_PX = END_SIDE / 4
+"""Standard deviation, px of the end's crop, of the Gaussian window that weights features by their distance from the
+crop's centre: the end fills its middle."""
 
 STEPS = 8
-LARGEST_PX, LARGEST_RAD = 2.0, 0.1
-"""Steps taken, and no step moves or turns an end further. With half as many again frames agree better with each other
-but less with the truth."""
+"""Gauss-Newton steps. With twelve, crops agree better with each other but their poses less with the truth (rendered
+actuators)."""
 
-ALWAYS = 0.01
-"""Share of a feature's variance over all places that it has everywhere, however little it varies in these frames."""
+GAUSS_NEWTON_LIMIT_PX, GAUSS_NEWTON_LIMIT_RAD = 2.0, 0.1
+"""Largest step along either axis (px of the end's crop) and in rotation (rad): a linearised step further than that is
+not valid."""
 
-LEAST, MOST = 5, 128
-"""Frames that are laid over each other at once: fewer do not tell what varies, more would fill the memory."""
+VARIANCE_FLOOR = 0.01
+"""Least variance of a feature at any position, as a share of its variance over all positions and frames: few frames
+can agree by chance, and their weight would be infinite."""
+
+MIN_FRAMES, MAX_FRAMES = 5, 128
+"""Frames registered at once: with fewer than the first the features' variance is not known, more than the second would
+not fit into memory."""
 
 
 def shipped_features() -> FirstStage:
-    """What ends are compared by, whatever the backbone of the network that learns."""
+    """The first stage of the shipped ResNet-18 network in evaluation mode, whatever backbone is in training."""
     refiner: HeatmapNetwork = load_checkpoint(shipped_network("resnet18")).network.refiner
     return FirstStage(refiner).eval()
 
@@ -55,112 +62,162 @@ def register_ends(
     videos: Sequence[str],
     features: FirstStage,
 ) -> FloatArray:
-    """Positions of moving ends that make their pictures the same, near to the given ones and with the same mean.
+    """Positions with the moving ends registered to each other, their mean pose unchanged.
 
-    An end is two keypoints that are each other's partner.
+    An end is two keypoints that are each other's reference.
 
     Parameters
     ----------
-    frames : N frames
-    xy : (N, K, 2) px
-    known : (N, K), which positions are believed; an end with another stays where it is
-    partner : from `regions.partners`
-    videos : which video each of the frames is from
-    features : what ends are compared by, in evaluation mode
+    frames : sequence of N PreparedFrame
+    xy : (N, K, 2) float array
+        Positions to start from, px.
+    known : (N, K) bool array
+        Which of them are trusted; an end with another keypoint stays where it is.
+    reference : sequence of K int
+        From `roi.reference_keypoints`.
+    videos : sequence of N str
+        The video that each frame is from; each is registered by itself.
+    features : FirstStage
+        In evaluation mode.
+
+    Returns
+    -------
+    (N, K, 2) float array
+        px.
     """
-    better = xy.copy()
-    for end, rows in moving_ends(xy, known, reference, videos):
-        for video in sorted({videos[i] for i in rows}):
-            of_video = [i for i in rows if videos[i] == video]
-            # Every part has frames of the whole video.
-            parts = -(-len(of_video) // MOST)
-            for some in (of_video[part::parts] for part in range(parts)):
-                better[np.ix_(some, end)] = _registered(
-                    [frames[i] for i in some], xy[np.ix_(some, end)], features
+    geometry = FrameGeometry.of([frame.region for frame in frames], reference, videos)
+    registered = xy.copy()
+    for end, rows in moving_ends(xy, known, geometry):
+        for video in sorted({geometry.videos[i] for i in rows}):
+            of_video = [i for i in rows if geometry.videos[i] == video]
+            # Every part holds frames from all over the video.
+            parts = -(-len(of_video) // MAX_FRAMES)
+            for part in (of_video[first::parts] for first in range(parts)):
+                registered[np.ix_(part, end)] = _registered(
+                    [frames[i] for i in part], xy[np.ix_(part, end)], features
                 )
-    return better
+    return registered
 
 
 def moving_ends(
-    xy: FloatArray, known: BoolArray, reference: Sequence[int], videos: Sequence[str]
+    xy: FloatArray, known: BoolArray, geometry: FrameGeometry
 ) -> Iterator[tuple[list[int], list[int]]]:
-    """Ends, the keypoints of each, and frames: those of videos that show it moving, in which it is known.
+    """The ends that move, each with the frames that show it.
 
-    As `registered`'s parameters; a video in which it is known in fewer than `LEAST` frames does not show that.
+    Parameters
+    ----------
+    xy : (N, K, 2) float array
+        Positions, px.
+    known : (N, K) bool array
+        Which of them are trusted.
+    geometry : FrameGeometry
+        Of the N frames.
+
+    Yields
+    ------
+    end : list of int
+        Its two keypoints.
+    frames : list of int
+        Frames in which both are trusted, of the videos in which both move. A video with fewer than `MIN_FRAMES` such
+        frames is skipped.
     """
+    reference = geometry.reference
     for end in ([k, p] for k, p in enumerate(reference) if k < p and reference[p] == k):
         rows: list[int] = []
-        for video in sorted(set(videos)):
-            own = [i for i, of in enumerate(videos) if of == video and known[i, end].all()]
-            if len(own) >= LEAST and np.ptp(xy[own][:, end], axis=0).any(axis=1).all():
+        for _, of_video in geometry.frames_by_video():
+            own = np.flatnonzero(of_video & known[:, end].all(axis=1)).tolist()
+            if len(own) >= MIN_FRAMES and np.ptp(xy[own][:, end], axis=0).any(axis=1).all():
                 rows += own
         if rows:
             yield end, rows
 
 
 def _registered(frames: Sequence[PreparedFrame], xy: FloatArray, features: FirstStage) -> FloatArray:
-    """`registered` for one end (N, 2, 2) in frames of one video."""
+    """`register_ends` for one end (N, 2, 2) px in frames of one video."""
     views = [frame.fine_view for frame in frames]
     ends = np.stack([view.to_input(own) for view, own in zip(views, xy, strict=True)])
     zoom = END_MAGNIFICATION * np.array([frame.region.magnification for frame in frames])
     middle = ends.mean(axis=1)
     half: FloatArray = (ends[:, 1] - ends[:, 0]) / 2
-    moved, turn = np.zeros_like(middle), np.zeros(len(frames))
+    shift, turn = np.zeros_like(middle), np.zeros(len(frames))
     for _ in range(STEPS):
         direction = np.arctan2(half[:, 1], half[:, 0]) + turn
-        pictures = [
+        crops = [
             centred_view(at, (END_SIDE, END_SIDE), by, towards).cut(frame.fine)
-            for frame, at, by, towards in zip(frames, middle + moved, zoom, direction, strict=True)
+            for frame, at, by, towards in zip(frames, middle + shift, zoom, direction, strict=True)
         ]
-        images = torch.from_numpy(stacked(pictures))
+        images = torch.from_numpy(stacked(crops))
         with torch.inference_mode():
-            step: FloatArray = _step(features(images.to(features.mean.device)))
-        moved += turned(step[:, :2] / zoom[:, None], direction)
+            step: FloatArray = _gauss_newton_step(features(images.to(features.mean.device)))
+        shift += turned(step[:, :2] / zoom[:, None], direction)
         turn += step[:, 2]
-    far = (np.linalg.norm(moved, axis=1) * zoom > MAX_STEP_PX) | (np.abs(turn) > MAX_STEP_RAD)
-    moved[far], turn[far] = 0.0, 0.0
+    # A frame that was carried far looks unlike the others: there the end stays where it was.
+    far = (np.linalg.norm(shift, axis=1) * zoom > MAX_STEP_PX) | (np.abs(turn) > MAX_STEP_RAD)
+    shift[far], turn[far] = 0.0, 0.0
     half = turned(half, turn)
-    ends = (middle + moved)[:, None] + np.stack([-half, half], axis=1)
+    ends = (middle + shift)[:, None] + np.stack([-half, half], axis=1)
     return np.stack([view.to_source(own) for view, own in zip(views, ends, strict=True)])
 
 
-def appearance(seen: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Of what is seen in pictures that show the same, features (N, C, h, w): mean, variance, and weight (C, h, w)."""
-    mean, variance = seen.mean(dim=0), seen.var(dim=0, correction=0)
-    variance = variance + ALWAYS * seen.var(dim=(0, 2, 3), correction=0)[:, None, None] + 1e-9
-    return mean, variance, window(seen) / variance
+def appearance(features: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Statistics of crops that show the same object.
+
+    Parameters
+    ----------
+    features : (N, C, h, w) tensor
+
+    Returns
+    -------
+    mean, variance : (C, h, w) tensors
+        Over the N crops, the variance with its floor.
+    weight : (C, h, w) tensor
+        `window` over the variance.
+    """
+    mean, variance = features.mean(dim=0), features.var(dim=0, correction=0)
+    floor = VARIANCE_FLOOR * features.var(dim=(0, 2, 3), correction=0)[:, None, None]
+    variance = variance + floor + 1e-9
+    return mean, variance, window(features) / variance
 
 
-def window(seen: Tensor) -> Tensor:
-    """How much places of features (N, C, h, w) count, (h, w), by how far they lie from an end's middle."""
-    x, y = _places(seen)
-    return torch.exp(-(x**2 + y**2) / (2 * WINDOW**2))
+def window(features: Tensor) -> Tensor:
+    """Gaussian weights (h, w) of the positions of features (N, C, h, w), 1 at the crop's centre."""
+    x, y = _positions(features)
+    return torch.exp(-(x**2 + y**2) / (2 * WINDOW_SD_PX**2))
 
 
-def _places(seen: Tensor) -> tuple[Tensor, Tensor]:
-    """Where features (N, C, h, w) lie from the middle, x and y (h, w) px."""
-    h, w = seen.shape[2:]
-    y, x = (STRIDE * (torch.arange(side, device=seen.device) - (side - 1) / 2) for side in (h, w))
+def _positions(features: Tensor) -> tuple[Tensor, Tensor]:
+    """Positions of features (N, C, h, w) relative to the crop's centre, x and y (h, w) px."""
+    h, w = features.shape[2:]
+    y, x = (STRIDE * (torch.arange(side, device=features.device) - (side - 1) / 2) for side in (h, w))
     return x.expand(h, w), y[:, None].expand(h, w)
 
 
-def _step(seen: Tensor) -> FloatArray:
-    """How far what is seen, features (N, C, h, w), lies off its mean: x and y px and radians about the middle, (N, 3),
-    less their own mean."""
-    n = len(seen)
-    x, y = _places(seen)
-    mean, variance, weight = appearance(seen)
+def _gauss_newton_step(features: Tensor) -> FloatArray:
+    """The step that moves each crop's features towards the mean of the others.
+
+    Parameters
+    ----------
+    features : (N, C, h, w) tensor
+
+    Returns
+    -------
+    (N, 3) float array
+        x and y px and rad about the crop's centre, minus their mean over the crops.
+    """
+    n = len(features)
+    x, y = _positions(features)
+    mean, variance, weight = appearance(features)
     slope_y, slope_x = torch.gradient(mean, spacing=float(STRIDE), dim=(1, 2))
-    slope = torch.stack([slope_x, slope_y, slope_y * x - slope_x * y], dim=-1)
-    # Against the mean of all others.
-    off = (seen - mean) * (n / (n - 1))
-    # A place where a frame looks like no other, such as under a shadow, counts little in it.
-    usual = 1 / (1 + (off**2 / variance).mean(dim=1))
-    square = torch.einsum("chw,chwi,chwj->hwij", weight, slope, slope)
-    square = torch.einsum("nhw,hwij->nij", usual, square)
-    toward = torch.einsum("nchw,chw,chwi->nhwi", off, weight, slope)
-    toward = torch.einsum("nhw,nhwi->ni", usual, toward)
-    largest = np.array([LARGEST_PX, LARGEST_PX, LARGEST_RAD])
-    solved = torch.linalg.solve(square.double(), toward.double()).cpu().numpy()
-    step: FloatArray = np.clip(-solved, -largest, largest)
+    jacobian = torch.stack([slope_x, slope_y, slope_y * x - slope_x * y], dim=-1)
+    # The difference from the mean of the other crops, without the crop itself.
+    residual = (features - mean) * (n / (n - 1))
+    # A position at which one frame looks unlike all others, for example in a shadow, counts little in that frame.
+    robust = 1 / (1 + (residual**2 / variance).mean(dim=1))
+    hessian = torch.einsum("chw,chwi,chwj->hwij", weight, jacobian, jacobian)
+    hessian = torch.einsum("nhw,hwij->nij", robust, hessian)
+    gradient = torch.einsum("nchw,chw,chwi->nhwi", residual, weight, jacobian)
+    gradient = torch.einsum("nhw,nhwi->ni", robust, gradient)
+    largest = np.array([GAUSS_NEWTON_LIMIT_PX, GAUSS_NEWTON_LIMIT_PX, GAUSS_NEWTON_LIMIT_RAD])
+    solution = torch.linalg.solve(hessian.double(), gradient.double()).cpu().numpy()
+    step: FloatArray = np.clip(-solution, -largest, largest)
     return step - step.mean(axis=0)

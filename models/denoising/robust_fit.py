@@ -1,141 +1,153 @@
-"""Noisy labels against what a network finds: positions to train on, and where labels lie beside what it finds.
+"""A robust fit of predictions to noisy labels: denoised positions to train on, and the systematic bias to correct.
 
-Every label is off by a click's error, and a network can learn thirty such errors by heart. What labels have in common
-against it, as ends turn, is its own error (`residuals`); corrected by that it is far nearer to the truth than a click.
-Positions to train on are such: first of a network that knows the keypoints before it has seen a label, later of the
-running average of the one that learns. What is left of its error when training ends comes off whatever it finds.
+Every label carries a click's error, and a network can learn thirty such errors by heart. What labels and predictions
+differ by systematically, as the ends turn, is the network's own error (`noise_model`); without it a prediction is far
+nearer to the truth than a click. Training positions are such predictions: at first of a network that knew the keypoints
+before it saw a label, later of the running average of the one in training. The bias that is left when training ends is
+subtracted from all predictions.
 
-Of a fixed end, which is at one place in all frames of a video, shadows tell the frames apart; there the positions are
-put together.
+A fixed end rests at one position in all frames of a video, where a network can tell frames apart by their shadows;
+there the positions are replaced by their median.
 """
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import numpy as np
 
 from ...tracker.types import BoolArray, FloatArray
 from ..inference.bias import correct_bias
-from ..inference.roi import orientations, turned
+from ..inference.roi import turned
+from .geometry import FrameGeometry
 from .noise_model import NetworkErrors, network_errors
 
-REACH = 4.0
-"""A label further from where what was found lets it expect, in median distances, counts nowhere: one of the two is of
-another keypoint."""
+OUTLIER_FACTOR = 4.0
+"""A label whose residual is further from the median residual than so many median distances is an outlier, and is not
+used: label and prediction are of different keypoints."""
 
-LIMIT_PATCH_PX = 6.0
-"""Nor does a target follow one further than this, in px of the refiner's patches: no label is so far off, the network
-is."""
+MAX_RESIDUAL_PATCH_PX = 6.0
+"""A label further from the median residual than this, in px of the refiner's patches, is not denoised: no click is so
+far off, so the network is."""
 
-LEAST = 5
-"""Frames from which it is believed that a keypoint rests in their video, or how far a network is off."""
+MIN_FRAMES = 5
+"""Fewest inlier labels from which a keypoint's error model, or its rest in a video, is estimated."""
 
 
-def systematic_bias(
-    found: FloatArray, labels: FloatArray, reference: Sequence[int], patch_scale: FloatArray
-) -> FloatArray:
-    """Where the labels lie beside what was found, for `finding.systematic_bias.correct_bias`.
+def systematic_bias(found: FloatArray, labels: FloatArray, geometry: FrameGeometry) -> FloatArray:
+    """The systematic part of label minus prediction, for `inference.bias.correct_bias`.
 
-    What is the same in all attitudes is known as exactly as the labels' mean, to the label-noise floor; nothing else
-    has to be learnt for it. What changes with the attitude counts as far as there is evidence for it.
+    The part that is constant in orientation is known as exactly as the labels' mean: that is the label-noise floor.
+    The part that changes with orientation is shrunk by its marginal likelihood.
 
     Parameters
     ----------
-    found, labels : (N, K, 2) px; NaN where not labelled
-    partner : from `regions.partners`
-    patch_scale : (N,) px of the refiner's patches for one px of the frame
+    found : (N, K, 2) float array
+        Predictions, px.
+    labels : (N, K, 2) float array
+        px; NaN where not labelled.
+    geometry : FrameGeometry
+        Of the N frames.
 
     Returns
     -------
-    (K, 1 + 2 WAVES, 2) px of the upright patch; 0 for a keypoint that was never labelled
+    (K, 1 + 2 HARMONICS, 2) float array
+        Fourier coefficients in orientation, px of the upright patch; 0 for a keypoint that was never labelled.
     """
-    direction = orientations(found, reference)
-    residual, distance = _apart(found, labels, direction, patch_scale)
-    return _by_keypoint(_errors(residual, _near(distance), direction).slow)
+    orientation = geometry.orientations(found)
+    residual, distance = _residuals(found, labels, orientation, geometry)
+    return _by_keypoint(_network_errors(residual, _inliers(distance), orientation).systematic)
 
 
 def denoised_positions(
-    labels: FloatArray,
-    found: FloatArray,
-    reference: Sequence[int],
-    patch_scale: FloatArray,
-    videos: Sequence[str],
+    labels: FloatArray, found: FloatArray, geometry: FrameGeometry
 ) -> tuple[FloatArray, BoolArray]:
-    """What a network finds less its own errors, in frames with labels.
+    """Predictions minus the network's expected error, in frames with labels.
 
-    A keypoint that is found to move by less, within a video, than labels are off is at rest there: its positions are
-    the median of all.
+    A keypoint whose predictions move by less within a video than the labels scatter is at rest there: its positions
+    are their median.
 
     Parameters
     ----------
-    labels, found : (N, K, 2) px; a label that counts nowhere stays as it is, and so do all of a keypoint with fewer
-        than `LEAST` others
-    partner : from `regions.partners`
-    patch_scale : (N,) px of the refiner's patches for one px of the frame
-    videos : which video each of the N frames is from
+    labels : (N, K, 2) float array
+        px; NaN where not labelled.
+    found : (N, K, 2) float array
+        Predictions, px.
+    geometry : FrameGeometry
+        Of the N frames.
 
     Returns
     -------
-    Positions (N, K, 2) px, and which of them are not just the label, (N, K).
+    positions : (N, K, 2) float array
+        px. An outlier keeps its label, and so do all labels of a keypoint with fewer than `MIN_FRAMES` inliers.
+    denoised : (N, K) bool array
+        Which positions are more than the label.
     """
-    direction = orientations(found, reference)
-    residual, distance = _apart(found, labels, direction, patch_scale)
-    near = _near(distance) & (np.nan_to_num(distance, nan=np.inf) <= LIMIT_PATCH_PX)
-    near &= near.sum(axis=0) >= LEAST
-    errors = _errors(residual, near, direction)
-    expected = correct_bias(found, _by_keypoint(errors.slow), reference, patch_scale)
-    sudden = _by_keypoint(errors.sudden).transpose(1, 0, 2) / patch_scale[:, None, None]
-    moved = expected + turned(sudden, direction)
-    better = _at_rest(np.where(near[..., None], moved, labels), expected, labels, near, videos)
-    return better, near
+    orientation = geometry.orientations(found)
+    residual, distance = _residuals(found, labels, orientation, geometry)
+    inlier = _inliers(distance) & (np.nan_to_num(distance, nan=np.inf) <= MAX_RESIDUAL_PATCH_PX)
+    inlier &= inlier.sum(axis=0) >= MIN_FRAMES
+    errors = _network_errors(residual, inlier, orientation)
+    unbiased = correct_bias(found, _by_keypoint(errors.systematic), geometry.reference, geometry.patch_scale)
+    per_frame = _by_keypoint(errors.per_frame).transpose(1, 0, 2) / geometry.patch_scale[:, None, None]
+    corrected = unbiased + turned(per_frame, orientation)
+    positions = np.where(inlier[..., None], corrected, labels)
+    return _resting_at_their_median(positions, unbiased, labels, inlier, geometry), inlier
 
 
-def _apart(
-    found: FloatArray, labels: FloatArray, direction: FloatArray, patch_scale: FloatArray
+def _residuals(
+    found: FloatArray, labels: FloatArray, orientation: FloatArray, geometry: FrameGeometry
 ) -> tuple[FloatArray, FloatArray]:
-    """Labels less found (N, K, 2) patch px in axes of a direction (N, K), and how far those are from usual, (N, K)."""
-    residual = turned(labels - found, -direction) * patch_scale[:, None, None]
-    usual = np.array([[_median(residual[:, k, i]) for i in (0, 1)] for k in range(labels.shape[1])])
-    return residual, np.linalg.norm(residual - usual, axis=2)
+    """Label minus prediction (N, K, 2) patch px along and across an orientation (N, K) rad, and its distance (N, K)
+    from the keypoint's median residual."""
+    residual = turned(labels - found, -orientation) * geometry.patch_scale[:, None, None]
+    median = np.array([[_nanmedian(residual[:, k, i]) for i in (0, 1)] for k in range(labels.shape[1])])
+    return residual, np.linalg.norm(residual - median, axis=2)
 
 
-def _near(distance: FloatArray) -> BoolArray:
-    """Which labels are near enough to what was found to count, from how far they are from usual (N, K)."""
-    reach = REACH * np.array([_median(distance[:, k]) for k in range(distance.shape[1])])
+def _inliers(distance: FloatArray) -> BoolArray:
+    """Inlier mask (N, K) from the distances (N, K) of residuals from their median; False where not labelled."""
+    limit = OUTLIER_FACTOR * np.array([_nanmedian(distance[:, k]) for k in range(distance.shape[1])])
     with np.errstate(invalid="ignore"):
-        near: BoolArray = distance <= reach
-    return near
+        inlier: BoolArray = distance <= limit
+    return inlier
 
 
-def _errors(residual: FloatArray, near: BoolArray, direction: FloatArray) -> NetworkErrors:
-    """`network_errors` of residuals (N, K, 2), along and across, a keypoint after the other."""
-    rows = np.nan_to_num(residual.transpose(1, 2, 0).reshape(-1, len(residual)))
-    return network_errors(rows, np.repeat(near.T, 2, axis=0), np.repeat(direction.T, 2, axis=0))
+def _network_errors(residual: FloatArray, inlier: BoolArray, orientation: FloatArray) -> NetworkErrors:
+    """`network_errors` of residuals (N, K, 2): two channels a keypoint, along and across its orientation (N, K)."""
+    channels = np.nan_to_num(residual.transpose(1, 2, 0).reshape(-1, len(residual)))
+    return network_errors(channels, np.repeat(inlier.T, 2, axis=0), np.repeat(orientation.T, 2, axis=0))
 
 
-def _by_keypoint(rows: FloatArray) -> FloatArray:
-    """Rows (2 K, M) of `_errors` as (K, M, 2)."""
-    return rows.reshape(len(rows) // 2, 2, -1).transpose(0, 2, 1)
+def _by_keypoint(channels: FloatArray) -> FloatArray:
+    """Channels (2 K, M) of `_network_errors` as (K, M, 2)."""
+    return channels.reshape(len(channels) // 2, 2, -1).transpose(0, 2, 1)
 
 
-def _at_rest(
-    moved: FloatArray, found: FloatArray, labels: FloatArray, near: BoolArray, videos: Sequence[str]
+def _resting_at_their_median(
+    positions: FloatArray,
+    unbiased: FloatArray,
+    labels: FloatArray,
+    inlier: BoolArray,
+    geometry: FrameGeometry,
 ) -> FloatArray:
-    """Positions, those of a keypoint that rests in a video put together."""
-    distance = np.linalg.norm(found - labels, axis=2)
-    for video in set(videos):
-        of_video = np.array([own == video for own in videos])
+    """Positions (N, K, 2) px, those of a keypoint at rest in a video replaced by their median.
+
+    A keypoint is at rest where the predictions without bias, `unbiased` (N, K, 2) px, move by no more than they
+    differ from the labels, in the median over the inliers (N, K).
+    """
+    positions = positions.copy()
+    distance = np.linalg.norm(unbiased - labels, axis=2)
+    for _, of_video in geometry.frames_by_video():
         for k in range(labels.shape[1]):
-            rows = of_video & near[:, k]
-            if rows.sum() < LEAST:
+            rows = of_video & inlier[:, k]
+            if rows.sum() < MIN_FRAMES:
                 continue
-            motion = np.linalg.norm(found[rows, k] - np.median(found[rows, k], axis=0), axis=1)
+            motion = np.linalg.norm(unbiased[rows, k] - np.median(unbiased[rows, k], axis=0), axis=1)
             if np.median(motion) <= np.median(distance[rows, k]):
-                moved[rows, k] = np.median(moved[rows, k], axis=0)
-    return moved
+                positions[rows, k] = np.median(positions[rows, k], axis=0)
+    return positions
 
 
-def _median(values: FloatArray) -> float:
+def _nanmedian(values: FloatArray) -> float:
+    """Median of the values that are known, 0 where none is."""
     known = values[~np.isnan(values)]
     return float(np.median(known)) if known.size else 0.0

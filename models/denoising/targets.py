@@ -1,9 +1,13 @@
-"""Where keypoints are in the frames trained on, as far as the labels and what a network finds there tell together."""
+"""Denoised targets: where keypoints are in the frames trained on, estimated from labels, predictions and images.
+
+Puts the steps of this floor in order; each is in its own module.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -15,76 +19,121 @@ from ..inference.tta import FlipAugmentedPredictor
 from ..networks.end_regressor import EndRegressionNetwork
 from ..networks.heatmap_network import FirstStage
 from .end_regression import fit_end_regression
+from .geometry import FrameGeometry
 from .registration import register_ends
 from .robust_fit import denoised_positions
 
 
 @dataclass(frozen=True)
 class TargetDenoiser:
-    """What N frames with labels tell of K keypoints.
+    """N labelled frames, and what positions to train on follow from them.
 
     Attributes
     ----------
-    frames, pictures, videos : the frames, and which video each is from; `frames[i].xy` are the labels
-    partner : from `regions.partners`
-    consensus : how far positions follow what the network finds, from 0 to 1
-    features : what moving ends are compared by; None leaves them
+    frames : sequence of N PreparedFrame
+        Their `xy` are the labels.
+    images : sequence of N (H, W, 3) uint8 arrays
+        The same frames as they were read, RGB.
+    videos : sequence of N str
+        The video that each frame is from.
+    reference : sequence of K int
+        From `roi.reference_keypoints`.
+    consensus : float
+        Share of the way from the label to the denoised position that a target goes, 0 to 1.
+    features : FirstStage or None
+        What moving ends are registered by; None skips registration.
     """
 
     frames: Sequence[PreparedFrame]
-    pictures: Sequence[ImageArray]
+    images: Sequence[ImageArray]
     videos: Sequence[str]
     reference: Sequence[int]
     consensus: float
     features: FirstStage | None
 
-    @property
+    @cached_property
     def labels(self) -> FloatArray:
         """(N, K, 2) px, NaN where not labelled."""
         return np.stack([frame.xy for frame in self.frames])
 
-    @property
-    def patch_scale(self) -> FloatArray:
-        """Patch px per px of the frames, (N,)."""
-        return np.array([frame.region.refiner_scale for frame in self.frames])
+    @cached_property
+    def geometry(self) -> FrameGeometry:
+        """Of the N frames."""
+        return FrameGeometry.of([frame.region for frame in self.frames], self.reference, self.videos)
 
-    def known_before(self, estimator: CoarseToFineEstimator, known: BoolArray) -> FloatArray:
-        """Positions (N, K, 2) px by a network that knows some of the keypoints before it has learnt anything here.
+    def initial_targets(self, estimator: CoarseToFineEstimator, known: BoolArray) -> FloatArray:
+        """Targets by a network that knows some of the keypoints before it has been trained on any label.
 
+        Parameters
+        ----------
         estimator : CoarseToFineEstimator
             With that network.
-        known : (K,), which it knows
+        known : (K,) bool array
+            The keypoints that it knows.
+
+        Returns
+        -------
+        (N, K, 2) float array
+            px.
         """
         labels = self.labels
         labelled: BoolArray = np.logical_not(np.isnan(labels).any(axis=2))
         both = labelled & labelled[:, list(self.reference)] & known
         near = np.where(both[..., None], labels, np.nan)
-        # What comes with bendtrack was pretrained with mirrored pictures.
+        # The shipped network was pretrained with mirrored images, so flip augmentation is valid for it.
         estimator = replace(estimator, refiner=FlipAugmentedPredictor(estimator.refiner))
         found = [
-            estimator.refine(picture[None], own[None], CropGeometry(frame.region, tuple(self.reference)))
-            for picture, own, frame in zip(self.pictures, near, self.frames, strict=True)
+            estimator.refine(image[None], own[None], CropGeometry(frame.region, tuple(self.reference)))
+            for image, own, frame in zip(self.images, near, self.frames, strict=True)
         ]
-        return self.less_noisy(concatenated(found).xy)
+        return self.targets(concatenated(found).xy)
 
-    def less_noisy(self, found: FloatArray) -> FloatArray:
-        """The labels less their noise, as far as `consensus` says, from what was found (N, K, 2) px."""
+    def targets(self, found: FloatArray) -> FloatArray:
+        """Positions to train on, (N, K, 2) px, from predictions (N, K, 2) px: `consensus` of the way from the labels to
+        the denoised positions."""
         labels = self.labels
-        return labels + self.consensus * (self.believed(found)[0] - labels)
+        return labels + self.consensus * (self.denoised(found)[0] - labels)
 
-    def believed(self, found: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Positions (N, K, 2) px from what was found, and which of them (N, K) are not just the label."""
-        better, counts = denoised_positions(self.labels, found, self.reference, self.patch_scale, self.videos)
+    def denoised(self, found: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Denoised positions from predictions.
+
+        Parameters
+        ----------
+        found : (N, K, 2) float array
+            Predictions, px.
+
+        Returns
+        -------
+        positions : (N, K, 2) float array
+            px, the moving ends registered where there are `features`.
+        denoised : (N, K) bool array
+            Which of them are more than the label.
+        """
+        positions, denoised = denoised_positions(self.labels, found, self.geometry)
         if self.features is not None:
-            better = register_ends(self.frames, better, counts, self.reference, self.videos, self.features)
-        return better, counts
+            positions = register_ends(
+                self.frames, positions, denoised, self.reference, self.videos, self.features
+            )
+        return positions, denoised
 
-    def aligner(self, found: FloatArray, seed: int) -> EndRegressionNetwork | None:
-        """What tells from closer pictures how moving ends lie, learnt from what was found (N, K, 2) px; None where
-        there are none whose pictures do. Needs `features`."""
+    def end_regressor(self, found: FloatArray, seed: int) -> EndRegressionNetwork | None:
+        """The end-pose regressor, fitted on denoised positions. Needs `features`.
+
+        Parameters
+        ----------
+        found : (N, K, 2) float array
+            Predictions, px.
+        seed : int
+            Of `fit_end_regression`.
+
+        Returns
+        -------
+        EndRegressionNetwork or None
+            None where no moving end's pose can be regressed.
+        """
         assert self.features is not None
-        xy, counts = self.believed(found)
+        positions, denoised = self.denoised(found)
         regions = [frame.region for frame in self.frames]
         return fit_end_regression(
-            self.pictures, regions, xy, counts, self.reference, self.videos, self.features, seed
+            self.images, regions, positions, denoised, self.reference, self.videos, self.features, seed
         )

@@ -1,1 +1,1 @@
-"""The networks themselves, their weights and their checkpoints."""
+"""The networks, their initial weights and their checkpoints."""

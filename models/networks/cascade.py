@@ -1,6 +1,6 @@
-"""The two networks together: a locator that sees the whole working region small, and a refiner that looks at a patch
-around each keypoint, turned upright by what was located. The refiner therefore sees every tip in the same attitude,
-whatever the bend, and thirty labels of it add up. How they are put to work is in `finder.py`.
+"""The cascade of two networks: a locator on the whole region of interest at low resolution, and a refiner on a patch
+around each located keypoint, rotated upright. The refiner therefore sees every tip in one orientation, whatever the
+bend, so thirty labels of it add up. How the two are applied to frames is in `inference.coarse_to_fine`.
 """
 
 from __future__ import annotations
@@ -20,29 +20,34 @@ from .heatmaps import decode
 from .torch_threads import limited_threads
 
 LOCATOR_STAGES = 4
-"""Who looks for any actuator in a whole picture needs the fourth residual stage; on thirty frames of one actuator three
-find as much."""
+"""Residual stages of the locator. To find any actuator in a whole image it needs the fourth; on thirty frames of one
+actuator three are as accurate."""
 
 REFINER_STAGES = 3
 REFINER_WIDTH = 32
-"""Two stages reach a whole patch, but weigh little of what lies away from its middle: a wide end's sides. Nothing is
-gained by a wider way up."""
+"""Residual stages of the refiner and channels of its decoder. The receptive field of two stages covers a patch, but
+weighs little of what lies off its centre, such as the sides of a wide end. A wider decoder gains nothing."""
 
 assert LOCATOR_MULTIPLE == 2 ** (LOCATOR_STAGES + 1)
 
 
 class Cascade(nn.Module):
-    """Locator and refiner for K keypoints.
+    """Locator and refiner for K keypoints, with random weights.
 
     Parameters
     ----------
-    backbone : a key of `network.BACKBONES`
-    n_keypoints : K
-    locator_stages, refiner_stages : residual stages that each has
+    backbone : str
+        A key of `heatmap_network.BACKBONES`.
+    n_keypoints : int
+        K.
+    locator_stages, refiner_stages : int
+        Residual stages of each network.
 
     Attributes
     ----------
-    aligner : tells how moving ends lie; None where nobody has learnt that
+    locator, refiner : HeatmapNetwork
+    aligner : EndRegressionNetwork or None
+        The end-pose regressor of the moving ends, under the name that it has in checkpoints; None where none is fitted.
     """
 
     aligner: EndRegressionNetwork | None
@@ -63,7 +68,7 @@ class Cascade(nn.Module):
 
     @classmethod
     def of(cls, locator: HeatmapNetwork, refiner: HeatmapNetwork) -> Cascade:
-        """Two networks as one cascade, sharing their weights."""
+        """A cascade of two networks, which keep their weights: nothing is copied."""
         whole = cls.__new__(cls)
         nn.Module.__init__(whole)
         whole.locator, whole.refiner, whole.aligner = locator, refiner, None

@@ -1,6 +1,7 @@
-"""A trained network on disk: weights in safetensors, everything else as JSON in the same file's header.
+"""A trained network on disk: weights in safetensors, its metadata as JSON in the header of the same file.
 
-One file, so that weights and what they mean cannot part; a readable copy of the header lies beside it. Never a pickle.
+One file, so that weights and metadata stay together; a readable copy of the metadata lies next to it. Never a pickle.
+What the metadata means is in `inference.metadata`.
 """
 
 from __future__ import annotations
@@ -29,61 +30,97 @@ from .tensor_files import write_tensors
 
 @dataclass(frozen=True, kw_only=True)
 class Checkpoint(CheckpointMetadata):
-    """A trained cascade and all that is needed to use it.
+    """A trained cascade and its metadata.
 
     Attributes
     ----------
-    network : the two networks; the others are `header.CheckpointMetadata`'s
+    network : Cascade
+        The others are `CheckpointMetadata`'s.
     """
 
     network: Cascade
 
     def detect(self, frames: Frames) -> Detections:
-        """Keypoints of RGB frames of one size (N, H, W, 3) uint8, each found by itself, calibrated."""
+        """Detect the keypoints in frames, each frame by itself.
+
+        Parameters
+        ----------
+        frames : (N, H, W, 3) uint8 array
+            RGB.
+
+        Returns
+        -------
+        Detections
+            Calibrated, in frame px.
+        """
         h, w = frames[0].shape[:2]
         geometry = self.geometry_for((w, h))
         return self.calibrated(self.network.detect(frames, geometry), geometry)
 
     def save(self, folder: Path, *, half: bool = False) -> Path:
-        """Write `weights.safetensors` and `checkpoint.json` into a folder; returns the former.
+        """Write `weights.safetensors` and `checkpoint.json` into a folder.
 
-        half : in float16, half the size; each weight is rounded by up to a two-thousandth of itself
+        Parameters
+        ----------
+        folder : Path
+        half : bool
+            In float16: half the size, and each weight is rounded by up to a two-thousandth of itself.
+
+        Returns
+        -------
+        Path
+            The weights' file.
+
+        Raises
+        ------
+        CheckpointError
+            The weights cannot be written.
         """
         folder.mkdir(parents=True, exist_ok=True)
-        header = self.to_dict()
+        metadata = self.to_dict()
         weights = self.network.state_dict()
         if half:
             weights = {n: w.half() if w.is_floating_point() else w for n, w in weights.items()}
-        write_tensors(folder / WEIGHTS_FILE, weights, header)
-        atomic_write_text(folder / "checkpoint.json", json.dumps(header, indent=2) + "\n")
+        write_tensors(folder / WEIGHTS_FILE, weights, metadata)
+        atomic_write_text(folder / "checkpoint.json", json.dumps(metadata, indent=2) + "\n")
         return folder / WEIGHTS_FILE
 
 
 def load_checkpoint(path: Path) -> Checkpoint:
-    """Read a checkpoint from its file or its folder.
+    """Read a checkpoint.
+
+    Parameters
+    ----------
+    path : Path
+        Its file or its folder.
+
+    Returns
+    -------
+    Checkpoint
+        On the CPU, in evaluation mode.
 
     Raises
     ------
     CheckpointError
-        If it is missing, damaged, of another format, or not ours.
+        It is missing, damaged, of another format, or not ours.
     """
     path = weights_file(path)
-    header = read_metadata(path, tuple(BACKBONES))
+    metadata = read_metadata(path, tuple(BACKBONES))
     with damage_reported(path):
         weights = load_file(path)
-        # Earlier networks had fewer stages.
+        # Networks of earlier versions have fewer stages.
         stages = [
             sum(name.startswith(f"{part}.lateral.") for name in weights) for part in ("locator", "refiner")
         ]
-        network = Cascade(header.backbone, len(header.keypoints), *stages)
+        network = Cascade(metadata.backbone, len(metadata.keypoints), *stages)
         if "aligner.ends" in weights:
             network.aligner = EndRegressionNetwork(len(weights["aligner.ends"]))
         network.load_state_dict(weights)
     return Checkpoint(
-        network=network.eval(), **{part.name: getattr(header, part.name) for part in fields(header)}
+        network=network.eval(), **{part.name: getattr(metadata, part.name) for part in fields(metadata)}
     )
 
 
 def best_device() -> torch.device:
-    """The GPU when there is one, else the CPU."""
+    """The GPU where there is one, else the CPU."""
     return torch.device("cuda" if torch.cuda.is_available() else "cpu")

@@ -1,6 +1,6 @@
-"""Where an end lies, told from a closer picture of it: the first residual stage of a network, and what is linear in it.
+"""The end-pose regressor: a linear map from first-stage features of an end's crop to the error of its pose.
 
-How that is learnt is in `learning/alignment.py`.
+How it is fitted is in `denoising.end_regression`.
 """
 
 from __future__ import annotations
@@ -15,18 +15,23 @@ from .heatmap_network import CONVOLUTIONS, STRIDE, FirstStage, HeatmapNetwork
 
 
 class EndRegressionNetwork(nn.Module):
-    """How far E ends would lie off in pictures that are cut where they may be.
+    """Pose errors of E ends in crops that were cut where the ends were found. Its weights are zero until it is fitted.
 
     Parameters
     ----------
-    ends : E
+    ends : int
+        E.
 
     Attributes
     ----------
-    first : the first stage of the shipped network, which sees the picture
-    ends : (E, 2) int64, the keypoints of each end
-    slope : (E, 3, C, h, w), how much each of its features counts toward a step
-    rest : (E, 3), the step where it sees nothing
+    first : FirstStage
+        The first stage of the shipped network, which computes the features.
+    ends : (E, 2) int64 tensor
+        The two keypoints of each end.
+    slope : (E, 3, C, h, w) tensor
+        Weights of the features.
+    rest : (E, 3) tensor
+        Intercepts. The names of buffers are those of checkpoints.
     """
 
     ends: Tensor
@@ -43,28 +48,26 @@ class EndRegressionNetwork(nn.Module):
 
     @property
     def pairs(self) -> tuple[tuple[int, int], ...]:
-        """The keypoints of each end."""
+        """The two keypoints of each end."""
         return tuple((first, second) for first, second in self.ends.tolist())
 
     def forward(self, images: Tensor) -> Tensor:
-        """Steps (N, E, 3) as `finding.patches.move_ends` takes them, from (N, 3, END_SIDE, END_SIDE) uint8."""
-        seen = self.first(images).flatten(1)
-        steps: Tensor = (seen @ self.slope.flatten(2).flatten(0, 1).T).unflatten(
-            1, self.rest.shape
-        ) + self.rest
-        return steps
+        """Pose corrections (N, E, 3) for `crops.move_ends`, from crops (N, 3, END_SIDE, END_SIDE) uint8 RGB."""
+        features = self.first(images).flatten(1)
+        steps: Tensor = (features @ self.slope.flatten(2).flatten(0, 1).T).unflatten(1, self.rest.shape)
+        return steps + self.rest
 
 
 class TorchEndRegressor:
-    """An `EndRegressionNetwork` as a `EndRegressor`."""
+    """An `EndRegressionNetwork` as a `coarse_to_fine.EndRegressor`."""
 
-    def __init__(self, aligner: EndRegressionNetwork) -> None:
-        self.aligner = aligner
-        self.ends = aligner.pairs
+    def __init__(self, network: EndRegressionNetwork) -> None:
+        self.network = network
+        self.ends = network.pairs
 
     @torch.inference_mode()
     def __call__(self, images: ImageArray) -> FloatArray:
-        """Steps (N, E, 3) from images (N, 3, END_SIDE, END_SIDE) uint8."""
+        """Pose corrections (N, E, 3) in crops (N, 3, END_SIDE, END_SIDE) uint8 RGB."""
         with torch.backends.cudnn.flags(enabled=True, allow_tf32=False):
-            steps = self.aligner(torch.from_numpy(images).to(self.aligner.rest.device))
+            steps = self.network(torch.from_numpy(images).to(self.network.rest.device))
         return steps.cpu().numpy().astype(np.float64)

@@ -1,7 +1,7 @@
-"""The keypoint network: a ResNet cut short, skip connections up to stride 4, one heatmap head.
+"""The heatmap network: a truncated ResNet, a decoder with lateral connections up to stride 4, and one head.
 
-What the head's maps mean, and how positions are read from them, is in `heatmaps.py`; where in a frame the
-network looks is in `regions.py`. Normalisation lives here, as buffers: the input is plain RGB.
+Losses on the head's maps, and their decoding to positions, are in `heatmaps`; which part of a frame is the input is in
+`inference.roi`. The input is plain RGB: normalisation is part of the network, as buffers.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from torchvision.models import resnet18, resnet34, resnet50
 BACKBONES = {"resnet18": resnet18, "resnet34": resnet34, "resnet50": resnet50}
 
 CONVOLUTIONS = 2
-"""Half of a ResNet-18's blocks find what all of them find, on thirty frames of one actuator."""
+"""3 x 3 convolutions kept of each stage, half of a ResNet-18's: as accurate as all on thirty frames of one actuator."""
 
 STRIDE = 4
 """Input px per heatmap cell. Cell (row, column) covers input px STRIDE * column - 0.5 to STRIDE * column + 3.5."""
@@ -25,19 +25,22 @@ STRIDE = 4
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
 
-# The heatmap bias starts where a sigmoid gives 0.01: nearly every cell of a heatmap is empty, and a start at
-# 0.5 spends the first hundred steps on learning that (Lin et al. 2017, focal loss, section 4.1).
+# Initial bias of the heatmaps, a probability of 0.01: nearly every cell is empty, and from 0.5 the first hundred steps
+# would go into learning that (Lin et al. 2017, focal loss, section 4.1).
 _EMPTY_CELL_LOGIT = -4.6
 
 
 class Maps(NamedTuple):
-    """What the network says of every cell, for N images, K keypoints, h x w cells.
+    """The network's output for N images, K keypoints and h x w cells.
 
     Attributes
     ----------
-    heat : (N, K, h, w) logits; the sigmoid is high at the cell that holds the keypoint
-    offset : (N, K, 2, h, w) input px (x, y), from the cell's centre to the keypoint
-    spread : (N, K, 3, h, w) log sd along x, log sd along y (log input px) and atanh of their correlation
+    heat : (N, K, h, w) tensor
+        Logits; their sigmoid is high at the cell that holds the keypoint.
+    offset : (N, K, 2, h, w) tensor
+        From the cell's centre to the keypoint, x and y in input px.
+    spread : (N, K, 3, h, w) tensor
+        Log sd along x and along y (of input px), and atanh of their correlation.
     """
 
     heat: Tensor
@@ -50,11 +53,16 @@ class HeatmapNetwork(nn.Module):
 
     Parameters
     ----------
-    backbone : "resnet18", "resnet34" or "resnet50" (torchvision's, so its weights fit)
-    stages : how many of the four residual stages are kept; 3 see about 200 px of the input around a cell
-    n_keypoints : K
-    convolutions : how many 3 x 3 convolutions of each stage are kept, the first ones; None keeps all
-    width : channels of the way up
+    backbone : str
+        "resnet18", "resnet34" or "resnet50": torchvision's, so its weights fit.
+    stages : int
+        Residual stages kept, of four; the receptive field of 3 is about 200 px.
+    n_keypoints : int
+        K.
+    convolutions : int, optional
+        3 x 3 convolutions kept of each stage, the first ones; all by default.
+    width : int
+        Channels of the decoder.
     """
 
     mean: Tensor
@@ -73,7 +81,7 @@ class HeatmapNetwork(nn.Module):
         super().__init__()
         resnet = BACKBONES[backbone](weights=None)
         self.n_keypoints = n_keypoints
-        # torchvision's own names are kept, so that its state dict loads as it is.
+        # torchvision's names are kept, so that its state dicts load.
         self.conv1, self.bn1 = resnet.conv1, resnet.bn1
         bottleneck = backbone == "resnet50"
         # A bottleneck block holds one 3 x 3 convolution, a plain one two.
@@ -101,8 +109,19 @@ class HeatmapNetwork(nn.Module):
         self.register_buffer("std", torch.tensor(IMAGENET_STD).view(1, 3, 1, 1) * 255, persistent=False)
 
     def forward(self, images: Tensor) -> Maps:
-        """Maps of RGB images (N, 3, H, W), uint8 or float in [0, 255]; H and W multiples of 2**(stages + 1)."""
-        x = _entered(images, self)
+        """Maps of images.
+
+        Parameters
+        ----------
+        images : (N, 3, H, W) tensor
+            RGB, uint8, or float in [0, 255]; H and W are multiples of 2**(stages + 1).
+
+        Returns
+        -------
+        Maps
+            With h = H / STRIDE and w = W / STRIDE.
+        """
+        x = _stem(images, self)
         features = []
         for stage in self.stages:
             x = stage(x)
@@ -113,8 +132,8 @@ class HeatmapNetwork(nn.Module):
         maps = self.head(self.smooth(up)).float()
         n, _, h, w = maps.shape
         k = self.n_keypoints
-        # Offsets and log spreads are learnt in cells and given in px: a head that starts at zero then starts
-        # at one cell's spread, and both losses have the same size as the heatmap's.
+        # The head's offsets and log spreads are in cells, the maps' in px: a head of zeros then means a spread of one
+        # cell, and both losses are of the heatmap loss's size.
         return Maps(
             heat=maps[:, :k],
             offset=maps[:, k : 3 * k].reshape(n, k, 2, h, w) * STRIDE,
@@ -125,9 +144,14 @@ class HeatmapNetwork(nn.Module):
 class FirstStage(nn.Module):
     """A network up to its first residual stage, whose weights it shares.
 
+    Parameters
+    ----------
+    network : HeatmapNetwork
+
     Attributes
     ----------
-    channels : of what it sees
+    channels : int
+        Of its features.
     """
 
     mean: Tensor
@@ -141,12 +165,13 @@ class FirstStage(nn.Module):
         self.register_buffer("std", network.std, persistent=False)
 
     def forward(self, images: Tensor) -> Tensor:
-        """What is seen in such images as `HeatmapNetwork` takes, (N, channels, H / STRIDE, W / STRIDE)."""
-        features: Tensor = self.stage(_entered(images, self))
+        """Features (N, channels, H / STRIDE, W / STRIDE) of images as `HeatmapNetwork.forward` takes them."""
+        features: Tensor = self.stage(_stem(images, self))
         return features
 
 
-def _entered(images: Tensor, network: HeatmapNetwork | FirstStage) -> Tensor:
+def _stem(images: Tensor, network: HeatmapNetwork | FirstStage) -> Tensor:
+    """Normalisation, and ResNet's layers before its first residual stage."""
     x = (images.to(network.mean.dtype) - network.mean) / network.std
     x = x.contiguous(memory_format=torch.channels_last)
     return F.max_pool2d(F.relu(network.bn1(network.conv1(x))), 3, stride=2, padding=1)

@@ -1,7 +1,7 @@
-"""What the network's maps should be (training) and what positions they say (decoding), in input px.
+"""Losses on the network's maps (training), and their decoding to positions (inference), in input px.
 
-Decoding is a vote: the cells around the peak each say where the keypoint lies, and the mean of what they say,
-weighted by their heat, is far steadier than the arg-max cell's own word.
+Decoding averages: every cell around the peak predicts the keypoint's position by its offset, and the mean weighted by
+heat scatters far less than the arg-max cell's prediction.
 """
 
 from __future__ import annotations
@@ -15,18 +15,28 @@ from torch import Tensor
 from .heatmap_network import STRIDE, Maps
 
 HEAT_SD_CELLS = 1.25
-"""Standard deviation of the target bump in cells. Narrower starves the heat of gradient, wider melts marks together."""
+"""Standard deviation of the target Gaussian, cells. A narrower one leaves too few cells with a gradient; a wider one
+merges neighbouring marks."""
 
 VOTE_RADIUS_CELLS = 2
-"""Cells to each side of the peak that vote, and within whose reach offsets are trained."""
-
+"""Cells to each side of the peak that are averaged in decoding, and whose offsets are trained."""
 
 _FAR_DISTANCE2 = 50.0
-"""Squared Mahalanobis distance beyond which a residual's cost grows linearly."""
+"""Squared Mahalanobis distance beyond which the spread loss grows linearly with the distance."""
 
 
 class Decoded(NamedTuple):
-    """Positions read from maps. xy (N, K, 2) input px, likelihood (N, K), covariance (N, K, 2, 2) px^2."""
+    """Positions decoded from maps.
+
+    Attributes
+    ----------
+    xy : (N, K, 2) tensor
+        Input px.
+    likelihood : (N, K) tensor
+        Height of the heatmap's peak, 0 to 1.
+    covariance : (N, K, 2, 2) tensor
+        Input px squared.
+    """
 
     xy: Tensor
     likelihood: Tensor
@@ -34,7 +44,7 @@ class Decoded(NamedTuple):
 
 
 def cell_centres(h: int, w: int, device: torch.device) -> tuple[Tensor, Tensor]:
-    """x (w,) and y (h,) of the cells' centres in input px, (0, 0) the centre of the first pixel."""
+    """x (w,) and y (h,) of the centres of h x w cells in input px; (0, 0) is the centre of the first pixel."""
     centre = (STRIDE - 1) / 2
     return (
         torch.arange(w, device=device, dtype=torch.float32) * STRIDE + centre,
@@ -47,26 +57,30 @@ def heatmap_loss(maps: Maps, xy: Tensor, known: Tensor, present: Tensor) -> dict
 
     Parameters
     ----------
-    xy : (N, K, 2) input px of the keypoints
-    known : (N, K) bool; False where nobody labelled the keypoint: no loss there at all
-    present : (N, K) bool; False where it is known that the keypoint cannot be seen (occluded, outside): the
-        heatmap must be empty, the offsets are not judged
+    maps : Maps
+    xy : (N, K, 2) tensor
+        Positions of the keypoints, input px.
+    known : (N, K) bool tensor
+        False where the keypoint is not labelled: it has no loss at all.
+    present : (N, K) bool tensor
+        False where the keypoint is known not to be visible (occluded, outside): its heatmap must be empty, and its
+        offsets have no loss.
 
     Returns
     -------
-    dict with scalar tensors: heat (penalty-reduced focal loss, Law & Deng 2018 eq. 1), offset (Huber, in cells, of
-    residuals that are `_evened`), spread (Gaussian negative log likelihood of the offsets' residuals, which are held
-    fixed)
+    dict from str to scalar tensor
+        "heat": penalty-reduced focal loss (Law & Deng 2018, eq. 1). "offset": Huber loss, in cells, of residuals
+        whitened by `_whitened`. "spread": Gaussian negative log likelihood of the residuals, without gradient to them.
     """
     n, k, h, w = maps.heat.shape
-    dx, dy = _steps(maps, xy)
-    seen = (known & present)[..., None, None]
+    dx, dy = _offsets_to(maps, xy)
+    visible = (known & present)[..., None, None]
     distance2 = _cells2(dx, dy)
-    distance2 = torch.where(seen, distance2, torch.full_like(distance2, 1e9))
-    target = _bump(distance2)
+    distance2 = torch.where(visible, distance2, torch.full_like(distance2, 1e9))
+    target = _target(distance2)
 
     log_p, log_q = F.logsigmoid(maps.heat), F.logsigmoid(-maps.heat)
-    # Focal weights on a soft target: a cell is pushed by how far its probability is from the bump's height.
+    # Focal weight on a soft target: the squared difference of a cell's probability from the target.
     p = maps.heat.sigmoid()
     heat = -(target * log_p + (1 - target) * log_q) * (target - p).abs().detach() ** 2
     heat = (heat * known[..., None, None]).sum() / known.sum().clamp(min=1)
@@ -76,8 +90,8 @@ def heatmap_loss(maps: Maps, xy: Tensor, known: Tensor, present: Tensor) -> dict
     weight = near * target
     total = weight.sum().clamp(min=1e-6)
     residual = maps.offset - torch.stack([dx.expand(n, k, h, w), dy.expand(n, k, h, w)], dim=2)
-    evened = _evened(residual, maps.spread.detach()) / STRIDE
-    size = F.huber_loss(evened, torch.zeros_like(evened), reduction="none", delta=0.5).sum(dim=2)
+    whitened = _whitened(residual, maps.spread.detach()) / STRIDE
+    size = F.huber_loss(whitened, torch.zeros_like(whitened), reduction="none", delta=0.5).sum(dim=2)
     offset = (torch.where(weight > 0, size, torch.zeros_like(size)) * weight).sum() / total
     nll = _gaussian_nll(residual.detach(), maps.spread)
     spread = (torch.where(weight > 0, nll, torch.zeros_like(nll)) * weight).sum() / total
@@ -85,33 +99,33 @@ def heatmap_loss(maps: Maps, xy: Tensor, known: Tensor, present: Tensor) -> dict
 
 
 def cell_loss(maps: Maps, xy: Tensor, known: Tensor, present: Tensor) -> Tensor:
-    """Cross-entropy of which cell holds each keypoint that can be seen, the heat taken as a choice among all cells.
+    """Cross-entropy of the cell that holds each visible keypoint, with the softmax of the heat over all cells.
 
-    Parameters and target bump as in `heatmap_loss`. A choice has a steady gradient however many cells there are, which
-    helps where looks are endless; for thirty frames the focal loss does.
+    Its gradient does not depend on the number of cells. That helps in pretraining on endlessly many looks; on thirty
+    frames the focal loss suffices. Parameters and target are those of `heatmap_loss`.
     """
-    dx, dy = _steps(maps, xy)
-    target = _bump(_cells2(dx, dy)).flatten(2)
+    dx, dy = _offsets_to(maps, xy)
+    target = _target(_cells2(dx, dy)).flatten(2)
     target = target / target.sum(dim=2, keepdim=True).clamp(min=1e-6)
-    seen = (known & present).float()
+    visible = (known & present).float()
     entropy = -(target * maps.heat.flatten(2).log_softmax(dim=2)).sum(dim=2)
-    return (entropy * seen).sum() / seen.sum().clamp(min=1)
+    return (entropy * visible).sum() / visible.sum().clamp(min=1)
 
 
-def _steps(maps: Maps, xy: Tensor) -> tuple[Tensor, Tensor]:
-    """From the cells' centres to keypoints (N, K, 2): x (N, K, 1, w) and y (N, K, h, 1) input px."""
+def _offsets_to(maps: Maps, xy: Tensor) -> tuple[Tensor, Tensor]:
+    """Offsets from the cells' centres to keypoints (N, K, 2): x (N, K, 1, w) and y (N, K, h, 1), input px."""
     h, w = maps.heat.shape[2:]
     cx, cy = cell_centres(h, w, maps.heat.device)
     return xy[..., 0, None, None] - cx[None, None, None, :], xy[..., 1, None, None] - cy[None, None, :, None]
 
 
 def _cells2(dx: Tensor, dy: Tensor) -> Tensor:
-    """Squared distances in cells, from steps in input px."""
+    """Squared distances in cells, from offsets in input px."""
     return (dx**2 + dy**2) / STRIDE**2
 
 
-def _bump(distance2: Tensor) -> Tensor:
-    """What the heat should be, at squared distances in cells from a keypoint."""
+def _target(distance2: Tensor) -> Tensor:
+    """Target of the heat at squared distances, in cells, from a keypoint."""
     return torch.exp(-distance2 / (2 * HEAT_SD_CELLS**2))
 
 
@@ -121,20 +135,18 @@ def _gaussian_nll(residual: Tensor, spread: Tensor) -> Tensor:
     zx, zy = residual[:, :, 0] * torch.exp(-log_sx), residual[:, :, 1] * torch.exp(-log_sy)
     one = 1 - rho**2
     mahalanobis = (zx**2 - 2 * rho * zx * zy + zy**2) / one
-    # A residual of many sd early in training must not blow the step up: beyond the limit the cost grows with the
-    # distance, no longer with its square. It must go on growing, or the spread would shrink where it is most wrong.
+    # A residual of many sd early in training must not blow up the step: beyond the limit the loss grows with the
+    # distance, no longer with its square. It must keep growing, or the spread would shrink where it is most wrong.
     far = 2 * (_FAR_DISTANCE2 * mahalanobis.clamp(min=_FAR_DISTANCE2)).sqrt() - _FAR_DISTANCE2
     mahalanobis = torch.where(mahalanobis < _FAR_DISTANCE2, mahalanobis, far)
     return 0.5 * mahalanobis + log_sx + log_sy + 0.5 * torch.log(one)
 
 
-def _evened(residual: Tensor, spread: Tensor) -> Tensor:
+def _whitened(residual: Tensor, spread: Tensor) -> Tensor:
     """Residuals (N, K, 2, h, w) times det(C)^(1/4) C^(-1/2), C the covariance of spread (N, K, 3, h, w).
 
-    They are as large in all, but each direction counts by how sure one can be in it.
-
-    A point along the body may lie here or there; what it says of its distance from the midline, and with that of an
-    end's direction, would otherwise be drowned.
+    Their size is kept overall, but each direction is weighted by its certainty. A keypoint along the body is uncertain
+    along the midline; that error would otherwise hide the one across it, which decides an end's direction.
     """
     log_sx, log_sy, rho = _spread_parts(spread)
     sx, sy = torch.exp(log_sx), torch.exp(log_sy)
@@ -153,11 +165,19 @@ def _spread_parts(spread: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def decode(maps: Maps, peaks: int = 1) -> Decoded:
-    """Read positions from the maps: one for each keypoint, or as many, the likeliest first.
+    """Decode positions from maps.
 
     Parameters
     ----------
-    peaks : M positions for each keypoint, those of one keypoint next to each other: K is K M in what is returned
+    maps : Maps
+        Of K keypoints.
+    peaks : int
+        M, candidate peaks for each keypoint.
+
+    Returns
+    -------
+    Decoded
+        Of K M positions: a keypoint's candidates are next to each other, the most likely first.
     """
     n, k, h, w = maps.heat.shape
     p = maps.heat.sigmoid()
@@ -165,8 +185,8 @@ def decode(maps: Maps, peaks: int = 1) -> Decoded:
         likelihood, peak = p.flatten(2).max(dim=2)
     else:
         highest = F.max_pool2d(p, 2 * VOTE_RADIUS_CELLS + 1, stride=1, padding=VOTE_RADIUS_CELLS)
-        apart = torch.where(p == highest, p, torch.zeros_like(p)).flatten(2)
-        likelihood, peak = (part.flatten(1) for part in apart.topk(peaks, dim=2))
+        maxima = torch.where(p == highest, p, torch.zeros_like(p)).flatten(2)
+        likelihood, peak = (part.flatten(1) for part in maxima.topk(peaks, dim=2))
         maps = Maps(*(part.repeat_interleave(peaks, dim=1) for part in maps))
         k *= peaks
     row, col = peak // w, peak % w
@@ -182,8 +202,8 @@ def decode(maps: Maps, peaks: int = 1) -> Decoded:
 
     cx, cy = cell_centres(h, w, p.device)
     centre = torch.stack([cx[index % w], cy[index // w]], dim=2)
-    said = maps.offset.flatten(3).gather(3, index[:, :, None].expand(-1, -1, 2, -1)) + centre
-    xy = (said * votes[:, :, None]).sum(dim=3)
+    predicted = maps.offset.flatten(3).gather(3, index[:, :, None].expand(-1, -1, 2, -1)) + centre
+    xy = (predicted * votes[:, :, None]).sum(dim=3)
 
     spread = maps.spread.flatten(3).gather(3, index[:, :, None].expand(-1, -1, 3, -1))
     log_sx, log_sy, rho = _spread_parts(spread)

@@ -1,6 +1,6 @@
-"""What a network starts from: the one that comes with bendtrack, ImageNet weights, a file, or random numbers.
+"""Initial weights: of the shipped network, from ImageNet, from a file, or random.
 
-Nothing here ever loads a pickle.
+Never loads a pickle. How heads are taken over from a network of ours is in `training.transfer`.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from torch import Tensor
 from torchvision.models import ResNet18_Weights, ResNet34_Weights, ResNet50_Weights
 
 from ...tracker.errors import WeightsError
+from .cascade import Cascade
 from .heatmap_network import HeatmapNetwork
 from .shipped import actuator_file
 
@@ -30,20 +31,39 @@ IMAGENET_WEIGHTS = {
 }
 
 WORDS = ("actuator", "imagenet", "random")
-"""Starts that are no file."""
+"""Starts that are not paths of files."""
+
+
+def random_cascade(backbone: str, n_keypoints: int, seed: int) -> Cascade:
+    """A cascade with random weights that depend on the seed only; torch's own random state stays as it was.
+
+    Parameters
+    ----------
+    backbone : str
+        A key of `heatmap_network.BACKBONES`.
+    n_keypoints : int
+    seed : int
+
+    Returns
+    -------
+    Cascade
+        On the CPU.
+    """
+    with torch.random.fork_rng(devices=[]):
+        torch.default_generator.manual_seed(seed)
+        return Cascade(backbone, n_keypoints)
 
 
 def imagenet_file(backbone: str) -> Path:
-    """Where torchvision's ImageNet weights of a backbone lie on this machine, present or not."""
+    """Path of torchvision's ImageNet weights of a backbone on this machine, whether they exist or not."""
     return Path(torch.hub.get_dir()) / "checkpoints" / Path(IMAGENET_WEIGHTS[backbone].url).name
 
 
 def resolve_init(init: str, backbone: str) -> str:
-    """What `init` means on this machine: "actuator", "imagenet", "random" or a path.
+    """Resolve `init` on this machine to "actuator", "imagenet", "random" or a path.
 
-    "auto" takes the network that comes with bendtrack where there is one with this backbone, else ImageNet weights
-    when they are on the machine already, else random numbers: it never waits for a network that a laboratory or a
-    cluster may not have.
+    "auto" takes the shipped network where there is one with this backbone, else ImageNet weights where they have been
+    downloaded already, else random weights. It never downloads: a laboratory or a cluster may have no internet.
     """
     if init != "auto":
         return init
@@ -53,12 +73,24 @@ def resolve_init(init: str, backbone: str) -> str:
 
 
 def starting_weights(init: str, backbone: str) -> dict[str, Tensor] | None:
-    """The backbone's state dict in torchvision's names, or None for random numbers.
+    """Load a backbone's state dict.
+
+    Parameters
+    ----------
+    init : str
+        "imagenet", "random" or the path of a weights file.
+    backbone : str
+        A key of `heatmap_network.BACKBONES`.
+
+    Returns
+    -------
+    dict from str to tensor, or None
+        In torchvision's names; None for random weights.
 
     Raises
     ------
     WeightsError
-        If the file is missing, damaged or no weights, or the download fails.
+        The file is missing, damaged or holds no weights, or the download fails.
     """
     if init == "random":
         return None
@@ -68,12 +100,21 @@ def starting_weights(init: str, backbone: str) -> dict[str, Tensor] | None:
 
 
 def load_backbone(network: HeatmapNetwork, state: Mapping[str, Tensor], source: str) -> None:
-    """Put a backbone's weights into a network that keeps some of its stages.
+    """Load a backbone's weights into a network that keeps some of its stages.
+
+    Parameters
+    ----------
+    network : HeatmapNetwork
+        Changed in place.
+    state : mapping from str to tensor
+        In torchvision's names, or in `HeatmapNetwork`'s.
+    source : str
+        Named in the error.
 
     Raises
     ------
     WeightsError
-        If a weight that the network needs is missing or has another shape.
+        A weight that the network needs is missing or has another shape.
     """
     wanted = {
         name: value
@@ -143,7 +184,7 @@ def _read(path: Path) -> dict[str, Tensor]:
         state = state["state_dict"]
     if not isinstance(state, Mapping) or not all(isinstance(v, Tensor) for v in state.values()):
         raise WeightsError(f"{path}: expected named weights (a state dict), got something else")
-    # A bendtrack checkpoint holds two networks; its locator's backbone is a start for both.
+    # A checkpoint of ours holds two networks; the backbone of its locator initialises both.
     weights: dict[str, Tensor] = dict(state)
     own = {n.removeprefix("locator."): v for n, v in weights.items() if n.startswith("locator.")}
     return own or weights

@@ -1,5 +1,6 @@
-"""The networks that come with bendtrack: pretrained on rendered actuators, what `train` starts from and `angle` looks
-with. How they were made is in `weights/README.md`; knows nothing of torch.
+"""The shipped networks, pretrained on rendered actuators: `train` starts from one, and `angle` uses it without labels.
+
+Only their files; no torch here. How they were made is in `weights/README.md`.
 """
 
 from __future__ import annotations
@@ -18,41 +19,48 @@ WEIGHTS = Path(__file__).parent.parent / "weights"
 
 
 def actuator_file(backbone: str) -> Path:
-    """Where the network with this backbone lies that comes with bendtrack, present or not."""
+    """Path of the shipped network with this backbone, whether there is one or not."""
     return WEIGHTS / f"actuator-{backbone}" / WEIGHTS_FILE
 
 
 def shipped_network(backbone: str) -> Path:
-    """`actuator_file` of a backbone for which there is one.
+    """Path of the shipped network with this backbone.
 
     Raises
     ------
     WeightsError
-        There is none.
+        None is shipped.
     """
     file = actuator_file(backbone)
     if not file.is_file():
-        there = ", ".join(sorted(path.name.removeprefix("actuator-") for path in WEIGHTS.glob("actuator-*")))
+        shipped = ", ".join(
+            sorted(path.name.removeprefix("actuator-") for path in WEIGHTS.glob("actuator-*"))
+        )
         raise WeightsError(
-            f"actuator weights: expected a backbone that they come with ({there or 'none'}), got {backbone};"
+            f"actuator weights: expected a backbone that they come with ({shipped or 'none'}), got {backbone};"
             " `bendtrack pretrain` makes others"
         )
     return file
 
 
 def working_copy(backbone: str) -> Path:
-    """A copy of the shipped network in the user's cache folder, where engines can be compiled beside it.
+    """Copy a shipped network into the user's cache folder, where engines can be compiled next to it.
 
     The package itself may not be writable, or be shared by machines with other processors.
 
+    Parameters
+    ----------
+    backbone : str
+
     Returns
     -------
-    The copy's folder.
+    Path
+        The copy's folder.
 
     Raises
     ------
     WeightsError
-        There is no such network.
+        No network with this backbone is shipped.
     BendtrackError
         The cache folder cannot be written.
     """

@@ -1,4 +1,4 @@
-"""Writing tensors with a JSON header, whole or not at all: checkpoints and trainings that are not finished."""
+"""Writing tensors with a JSON header, whole or not at all: checkpoints and state files of trainings."""
 
 from __future__ import annotations
 
@@ -16,16 +16,23 @@ from ...tracker.errors import CheckpointError, reason
 
 
 def write_tensors(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str, Any]) -> None:
-    """Write a safetensors file whose metadata holds the header.
+    """Write a safetensors file whose metadata holds the header as JSON.
+
+    Parameters
+    ----------
+    path : Path
+    tensors : mapping from str to tensor
+    header : mapping
+        JSON-ready.
 
     Raises
     ------
     CheckpointError
-        The file cannot be written; the library has an error of its own for a full disk.
+        The file cannot be written, for example on a full disk.
     """
-    own = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
+    on_cpu = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
     try:
-        # The library's own writing of files keeps them from everyone else who uses the folder.
-        atomic_write_bytes(path, save(own, metadata={"bendtrack": json.dumps(header)}))
+        # safetensors' own `save_file` writes files that only their owner can read.
+        atomic_write_bytes(path, save(on_cpu, metadata={"bendtrack": json.dumps(header)}))
     except (SafetensorError, OSError) as error:
         raise CheckpointError(f"{path}: cannot be written ({reason(error)})") from error

@@ -1,1 +1,1 @@
-"""Training the network that ships with bendtrack on rendered actuators, for hours, without labels."""
+"""Pretraining on rendered actuators, without labels: how the shipped network was made."""

@@ -1,4 +1,4 @@
-"""The picture of a pretraining: its loss, and how well both networks do on new pictures."""
+"""The figure of a pretraining: its loss, and the errors of both networks on validation images."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _COLOUR = "#0072B2"
 
 
 def write_curve(rows: Sequence[dict[str, float]], folder: Path) -> None:
-    """Write learning-curve.png from the rows of training.csv."""
+    """Write learning-curve.png into `folder`, from the rows of training.csv."""
     figure = Figure(figsize=(9, 2.9), layout="constrained")
     FigureCanvasAgg(figure)
     panels = {

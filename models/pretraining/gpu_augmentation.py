@@ -1,5 +1,7 @@
-"""Random changes to a whole batch of training pictures at once, where they lie: something in the way, another light,
-other colours, noise and blur. The stream has a camera and lamps of its own; here one picture becomes many.
+"""Photometric augmentation of a whole batch on the training device: occluders, light, colour, blur and noise.
+
+Rendered images come with light and a camera of their own (`tracker.synthetic.stream`); this varies each rendered image
+every time that it is used.
 """
 
 from __future__ import annotations
@@ -13,35 +15,40 @@ from ...tracker.types import BoolArray, FloatArray
 
 Rng = np.random.Generator
 
-COVERED = 0.4
-"""Share of pictures in which something lies in the way."""
+OCCLUDED_SHARE = 0.4
+"""Share of images with an occluder."""
 
-RECOLOURED, GREY = 0.4, 0.05
-"""Shares of pictures in which all hues are turned, and which have none."""
+HUE_SHARE, GREY_SHARE = 0.4, 0.05
+"""Shares of images whose hues are rotated by any angle, and of images without colour."""
 
-NOISY, SOFT = 0.25, 0.2
+NOISE_SHARE, BLUR_SHARE = 0.25, 0.2
+"""Shares of images with added noise, and of images with a 3 x 3 blur."""
 
 _GREY_AXIS = np.full((3, 3), 1 / 3)
-_ACROSS = np.array([[0, -1, 1], [1, 0, -1], [-1, 1, 0]]) / np.sqrt(3)
+_HUE_ROTATION = np.array([[0, -1, 1], [1, 0, -1], [-1, 1, 0]]) / np.sqrt(3)
 
 
-def covered(images: Tensor, xy: FloatArray, rng: Rng) -> tuple[Tensor, BoolArray]:
-    """Put an ellipse or a box in the way in some of the pictures, of one colour or cut from another picture.
+def occlude_batch(images: Tensor, xy: FloatArray, rng: Rng) -> tuple[Tensor, BoolArray]:
+    """Put an ellipse or a box into some of the images, of one colour or cut from another image.
 
     Parameters
     ----------
-    images : (N, 3, side, side) float
-    xy : (N, K, 2) px
+    images : (N, 3, side, side) float tensor
+    xy : (N, K, 2) float array
+        Positions of keypoints, px.
+    rng : numpy Generator
 
     Returns
     -------
-    The pictures, and which positions are hidden, (N, K).
+    images : (N, 3, side, side) float tensor
+    occluded : (N, K) bool array
+        Which positions lie under an occluder.
     """
     n, side = len(images), images.shape[-1]
     centre = rng.random((n, 2)) * side
     half = rng.uniform(0.05, 0.2, (n, 2)) * side
     turn, is_box = rng.uniform(0, np.pi, n), rng.random(n) < 0.5
-    half *= (rng.random(n) < COVERED)[:, None]
+    half *= (rng.random(n) < OCCLUDED_SHARE)[:, None]
     cos, sin = np.cos(turn), np.sin(turn)
     to_shape = (
         np.stack([np.stack([cos, sin], -1), np.stack([-sin, cos], -1)], -2)
@@ -49,7 +56,7 @@ def covered(images: Tensor, xy: FloatArray, rng: Rng) -> tuple[Tensor, BoolArray
     )
 
     local = np.einsum("nij,nkj->nki", to_shape, xy - centre[:, None])
-    hidden = np.where(is_box[:, None], np.abs(local).max(axis=2), np.linalg.norm(local, axis=2)) <= 1
+    occluded = np.where(is_box[:, None], np.abs(local).max(axis=2), np.linalg.norm(local, axis=2)) <= 1
 
     device = images.device
     step = torch.arange(side, device=device, dtype=torch.float32)
@@ -61,34 +68,46 @@ def covered(images: Tensor, xy: FloatArray, rng: Rng) -> tuple[Tensor, BoolArray
     colour = rng.uniform(0, 255, (n, 3, 1, 1)).astype(np.float32)
     plain = torch.from_numpy(rng.random(n) < 0.5).to(device)[:, None, None, None]
     cover = torch.where(plain, torch.from_numpy(colour).to(device), images.roll(1, dims=0))
-    return torch.where(mask[:, None], cover, images), hidden
+    return torch.where(mask[:, None], cover, images), occluded
 
 
-def changed(images: Tensor, rng: Rng) -> Tensor:
-    """Other colours and light, blur, then noise, in the order in which a camera applies them; in [0, 255]."""
+def change_batch(images: Tensor, rng: Rng) -> Tensor:
+    """Change colours and light of images, then blur, then add noise, in the order in which a camera applies them.
+
+    Parameters
+    ----------
+    images : (N, 3, H, W) float tensor
+        RGB in [0, 255].
+    rng : numpy Generator
+
+    Returns
+    -------
+    (N, 3, H, W) float tensor
+        In [0, 255].
+    """
     n, device = len(images), images.device
 
-    def there(values: FloatArray) -> Tensor:
+    def on_device(values: FloatArray) -> Tensor:
         return torch.from_numpy(values.astype(np.float32)).to(device)
 
-    turn = np.where(rng.random(n) < RECOLOURED, rng.uniform(-np.pi, np.pi, n), rng.normal(0, 0.05, n))[
+    turn = np.where(rng.random(n) < HUE_SHARE, rng.uniform(-np.pi, np.pi, n), rng.normal(0, 0.05, n))[
         :, None, None
     ]
-    saturation = np.where(rng.random(n) < GREY, 0.0, rng.uniform(0.5, 1.3, n))[:, None, None]
-    about = np.eye(3) - _GREY_AXIS
-    mix = _GREY_AXIS + saturation * (np.cos(turn) * about + np.sin(turn) * _ACROSS)
+    saturation = np.where(rng.random(n) < GREY_SHARE, 0.0, rng.uniform(0.5, 1.3, n))[:, None, None]
+    chroma = np.eye(3) - _GREY_AXIS
+    mix = _GREY_AXIS + saturation * (np.cos(turn) * chroma + np.sin(turn) * _HUE_ROTATION)
     gain = np.exp(rng.normal(0, 0.12, (n, 1)) + rng.normal(0, 0.04, (n, 3)))
     shift = rng.normal(0, 0.05, (n, 1)) + rng.normal(0, 0.02, (n, 3))
     gamma = np.exp(rng.normal(0, 0.15, n))
-    level = torch.einsum("nij,njhw->nihw", there(mix), images / 255).clamp(1e-4, 1)
-    level = level ** there(gamma)[:, None, None, None]
-    level = (level - 0.5) * there(gain)[..., None, None] + 0.5 + there(shift)[..., None, None]
-    soft = torch.from_numpy(rng.random(n) < SOFT).to(device)[:, None, None, None]
+    level = torch.einsum("nij,njhw->nihw", on_device(mix), images / 255).clamp(1e-4, 1)
+    level = level ** on_device(gamma)[:, None, None, None]
+    level = (level - 0.5) * on_device(gain)[..., None, None] + 0.5 + on_device(shift)[..., None, None]
+    blur = torch.from_numpy(rng.random(n) < BLUR_SHARE).to(device)[:, None, None, None]
     kernel = torch.tensor([1.0, 2.0, 1.0], device=device) / 4
     kernel = (kernel[:, None] * kernel).expand(3, 1, 3, 3)
     blurred = F.conv2d(F.pad(level, (1, 1, 1, 1), mode="replicate"), kernel, groups=3)
-    level = torch.where(soft, blurred, level)
-    sd = np.where(rng.random(n) < NOISY, rng.uniform(1, 8, n) / 255, 0.0)
+    level = torch.where(blur, blurred, level)
+    sd = np.where(rng.random(n) < NOISE_SHARE, rng.uniform(1, 8, n) / 255, 0.0)
     generator = torch.Generator(device).manual_seed(int(rng.integers(2**31)))
     noise = torch.randn(images.shape, generator=generator, device=device)
-    return ((level + noise * there(sd)[:, None, None, None]) * 255).clamp(0, 255)
+    return ((level + noise * on_device(sd)[:, None, None, None]) * 255).clamp(0, 255)

@@ -1,8 +1,8 @@
-"""Pretraining: both networks learn the canonical points of actuators in general, from rendered ones without end.
+"""Pretraining: both networks are trained on the canonical keypoints of an endless stream of rendered actuators.
 
-Runs for hours beside other work, or minutes where there is a GPU, can be stopped at any time and goes on where it was.
-The result is a checkpoint like any other: a start for `training.py`, and what finds an actuator that nobody has
-labelled. Pictures come from `rendered.py`, batches of them from `picture_pool.py`.
+Runs for hours next to other work, or for minutes on a GPU; can be stopped at any time and resumed. The result is a
+checkpoint like any other: initial weights for `training`, and a zero-shot network for actuators without labels. Images
+come from `data.synthetic`, batches from `image_pool`.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from ...tracker.synthetic.stream import KEYPOINTS, Sample
 from ...tracker.types import BoolArray, Detections, FloatArray
 from ..data.prepared import PreparedFrame
 from ..data.synthetic import (
+    IMAGE_SIDE,
+    IMAGE_WH,
     LOCATOR_INPUT,
-    PICTURE_SIDE,
-    PICTURE_WH,
     REFERENCE,
-    Rendered,
-    rendered_pictures,
+    RenderedBatch,
+    render_batch,
     rendered_samples,
 )
 from ..inference.calibration import Calibration, reference_peaks, typical_scale
@@ -45,6 +45,7 @@ from ..inference.crops import CropGeometry
 from ..inference.roi import RegionOfInterest
 from ..networks.cascade import Cascade
 from ..networks.checkpoint import Checkpoint, best_device
+from ..networks.initialisation import random_cascade
 from ..training.optimisation import TwoNetworkTrainer
 from ..training.schedule import Schedule
 from ..training.settings import check_counts, check_start
@@ -54,34 +55,59 @@ from ..training.transfer import ENDS, keypoint_mapping, source_checkpoint, trans
 from .figure import write_curve
 from .image_pool import ImagePool
 
-AHEAD = 4
-"""Steps for which each process that draws has pictures ready."""
+PREFETCH_STEPS = 4
+"""Steps whose images each rendering process has ready ahead of time."""
 
-FOUND_SHARE = 0.05
-"""A keypoint counts as found within so much of the body's length."""
+LOCATED_WITHIN = 0.05
+"""A keypoint counts as located within this distance of the truth, in body lengths."""
+
+STEPS_TO_TIME = 100
+"""Steps after which the schedule is fitted to a time limit: the first ones are slower than the rest."""
+
+WARMUP_STEPS = 200
+"""Steps in which the learning rate rises: longer than in a training, which starts from better weights."""
 
 
 @dataclass(frozen=True)
 class PretrainingSettings:
-    """Settings of a pretraining; they travel with the checkpoint.
+    """Settings of a pretraining; they are saved with the checkpoint, so their names are part of its format.
 
     Attributes
     ----------
-    backbone : a key of `network.BACKBONES`
-    steps : training steps; a pretraining that is resumed may be given more
-    pictures : new ones in a step
-    pool : the latest pictures, so many, that are learnt from
-    batch : of these, so many in a step, the new ones among them; each gives the locator a crop
-    patches : of each, for the refiner
-    judged : pictures that are not trained on, to judge by
-    judge_every : steps between looks at those; each is also where the state is saved
-    learning_rate, weight_decay : AdamW's
-    decay_share : share of the steps in which the learning rate falls to zero
-    cell_weight : `NetworkOptimiser`'s
-    average : how much of the averaged weights is kept each step
-    seed : everything random follows from it; pictures that judge are drawn with the next one
-    init : "random", "actuator" (the network that comes with bendtrack), or the path of a network of ours: both start
-        from its weights, and `seed` must be another than its own for the pictures to be new
+    backbone : str
+        A key of `heatmap_network.BACKBONES`.
+    steps : int
+        Training steps; a resumed pretraining may be given more.
+    pictures : int
+        Images newly rendered for each step.
+    pool : int
+        Latest images that batches are drawn from.
+    batch : int
+        Images in a step, the new ones among them; each gives the locator one crop.
+    patches : int
+        Patches of each image for the refiner.
+    judged : int
+        Validation images, which are not trained on.
+    judge_every : int
+        Steps between validations; the state is saved at each.
+    learning_rate, weight_decay : float
+        AdamW's.
+    decay_share : float
+        Share of the steps in which the learning rate falls to zero.
+    cell_weight : float
+        `NetworkOptimiser`'s.
+    average : float
+        Decay of the exponential moving average of the weights.
+    seed : int
+        Every random draw follows from it; validation images are rendered with the next seed.
+    init : str
+        "random", "actuator" (the shipped network), or the path of a network of ours; its `seed` must differ from this
+        one's, so that the images are new to it.
+
+    Raises
+    ------
+    TrainingError
+        A setting is out of its range.
     """
 
     backbone: str = "resnet18"
@@ -111,23 +137,37 @@ class PretrainingSettings:
 
     @property
     def identity(self) -> str:
-        """Hash of what a resumed pretraining must have in common with the stopped one: all but its length."""
+        """SHA-256 of what a resumed pretraining must share with the stopped one: all but its length and validation."""
         free = ("steps", "decay_share", "judged", "judge_every")
         settings = {k: v for k, v in asdict(self).items() if k not in free}
         return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
 
 
 def usual_settings(**given: Any) -> PretrainingSettings:
-    """The settings for the device that is there, but for those given.
+    """Default settings for this machine's device.
 
-    A GPU learns from a picture far faster than a processor draws one: larger batches, of pictures that are kept for as
-    long as half of its memory allows.
+    A GPU takes a step far faster than a CPU renders its images: there batches are larger, and the pool is as large as
+    half of the GPU's memory allows.
+
+    Parameters
+    ----------
+    **given
+        Settings that replace the defaults.
+
+    Returns
+    -------
+    PretrainingSettings
+
+    Raises
+    ------
+    TrainingError
+        A setting is out of its range.
     """
     device = best_device()
     if device.type != "cuda":
         return PretrainingSettings(**given)
     room = torch.cuda.get_device_properties(device).total_memory // 2
-    pool = max(512, min(room // (3 * PICTURE_SIDE**2), 250_000))
+    pool = max(512, min(room // (3 * IMAGE_SIDE**2), 250_000))
     usual = {
         "pictures": 36,
         "batch": 512,
@@ -153,28 +193,34 @@ def pretrain(
 
     Parameters
     ----------
-    folder : receives weights.safetensors, checkpoint.json, training.csv, learning-curve.png and, as long as steps are
-        left, the state
-    resume : go on from the state in `folder`
-    stop_after_s : stop then, in the middle of the schedule; what is there is saved, and so is the state
-    max_s : the schedule is shortened to end by then, counted from the first step
-    workers : processes that draw pictures
+    folder : Path
+        Receives weights.safetensors, checkpoint.json, training.csv and learning-curve.png, and the state file as long
+        as steps are left.
+    settings : PretrainingSettings, optional
+    resume : bool
+        Continue from the state file in `folder`.
+    stop_after_s : float, optional
+        Stop after so many seconds, within the schedule; checkpoint and state are saved.
+    max_s : float, optional
+        Shorten the schedule to end after so many seconds, counted from the first step.
+    workers : int
+        Processes that render images.
+    progress : callable, optional
+        Called after each step.
 
     Returns
     -------
     Checkpoint
-        The averaged network; its keypoints are `stream.KEYPOINTS`. In the file it is in float16.
+        The averaged network, saved in float16; its keypoints are `stream.KEYPOINTS`.
 
     Raises
     ------
     TrainingError
-        The loss is not finite, there is nothing fitting to resume, or the network begun with has seen these pictures.
+        The loss is not finite, there is no state file that fits, or the initial network was trained on these images.
     WeightsError
-        `settings.init` names no network that fits.
+        `settings.init` is no network that fits.
     """
-    pretrainer = _Pretrainer(Path(folder), settings or PretrainingSettings(), resume)
-    if resume:
-        pretrainer.restore()
+    pretrainer = _Pretrainer(Path(folder), settings or PretrainingSettings(), resume=resume)
     pretrainer.run(stop_after_s, max_s, workers, progress)
     checkpoint = pretrainer.finish()
     checkpoint.save(Path(folder), half=True)
@@ -185,41 +231,44 @@ def pretrain(
 
 
 class _Pretrainer:
-    """The state of one pretraining and the steps that change it."""
+    """One pretraining: its networks, and the state that its steps change.
 
-    def __init__(self, folder: Path, settings: PretrainingSettings, resume: bool) -> None:
+    Parameters
+    ----------
+    folder : Path
+        Where the state is saved.
+    settings : PretrainingSettings
+    resume : bool
+        Begin with the state file in `folder`.
+
+    Raises
+    ------
+    TrainingError, WeightsError
+        As `pretrain`'s.
+    """
+
+    def __init__(self, folder: Path, settings: PretrainingSettings, *, resume: bool) -> None:
         self.folder, self.settings = folder, settings
         self.state_file = folder / STATE_FILE
         self.device = best_device()
-        torch.manual_seed(settings.seed)
-        network = Cascade(settings.backbone, len(KEYPOINTS))
-        if settings.init != "random" and not resume:  # what is resumed has its weights
-            self._start_from(network)
-        self.pair = TwoNetworkTrainer(
+        network = random_cascade(settings.backbone, len(KEYPOINTS), settings.seed)
+        if (
+            settings.init != "random" and not resume
+        ):  # a resumed pretraining has its weights in the state file
+            _load_initial_weights(network, settings)
+        self.networks = TwoNetworkTrainer(
             network.to(self.device),
             average=settings.average,
             weight_decay=settings.weight_decay,
             cell_weight=settings.cell_weight,
         )
-        self.schedule = Schedule(settings.steps, settings.decay_share, warmup=200)
+        self.schedule = Schedule(settings.steps, settings.decay_share, warmup=WARMUP_STEPS)
         self.step, self.elapsed_s = 0, 0.0
         self.rows: list[dict[str, float]] = []
-        self.judged = list(rendered_samples(settings.seed + 1, range(settings.judged)))
-
-    def _start_from(self, network: Cascade) -> None:
-        init = self.settings.init
-        source = source_checkpoint(init, self.settings.backbone)
-        if source is None or not set(ENDS) <= set(source.keypoints):
-            raise WeightsError(
-                f"--init: expected random, actuator, or a network with backbone {self.settings.backbone} that was"
-                f" pretrained, got {init}"
-            )
-        own = source.training["settings"]["seed"]
-        if source.pretrained and own in (self.settings.seed, self.settings.seed + 1):
-            raise TrainingError(
-                f"--seed: expected one whose pictures {init} has not seen, such as {own + 2}, got {self.settings.seed}"
-            )
-        transfer_weights(network, KEYPOINTS, source, keypoint_mapping(KEYPOINTS, source.keypoints))
+        if resume:
+            state = self._saved_state()
+            self.step, self.elapsed_s, self.rows = state.step, state.elapsed_s, state.rows
+        self.validation = list(rendered_samples(settings.seed + 1, range(settings.judged)))
 
     def run(
         self,
@@ -230,29 +279,29 @@ class _Pretrainer:
     ) -> None:
         """Train until the schedule ends, or until it is time to stop."""
         settings = self.settings
-        # As many as a batch takes are there at first; of a pretraining that goes on, all that were still there.
+        # At first the pool holds one batch; of a resumed pretraining, all images that it still held.
         count = settings.batch + self.step * settings.pictures
         pool = ImagePool(settings.pool, self.device)
-        pool.seen = first = max(count - settings.pool, 0)
+        pool.added = first = max(count - settings.pool, 0)
         stop_s = math.inf if stop_after_s is None else self.elapsed_s + stop_after_s
         over = self.step >= self.schedule.total
         with (
-            _drawn(settings, first, count, workers) as drawn,
-            self.pair,
+            _rendered(settings, first, count, workers) as rendered,
+            self.networks,
             torch.backends.cudnn.flags(enabled=True, benchmark=True),
         ):
-            while pool.seen < count:
-                pool.add(next(drawn))
+            while pool.added < count:
+                pool.add(next(rendered))
             begun = time.monotonic() - self.elapsed_s
             while not over:
                 rng = np.random.default_rng([settings.seed, 8, self.step])
                 locate, refine = pool.batches(settings.batch, settings.pictures, settings.patches, rng)
                 rate = settings.learning_rate * self.schedule.factor(self.step)
-                loss = self.pair.learn(locate, [refine], self.step, rate)
+                loss = self.networks.learn(locate, [refine], self.step, rate)
                 self.step += 1
-                pool.add(next(drawn))
+                pool.add(next(rendered))
                 self.elapsed_s = time.monotonic() - begun
-                if max_s is not None and self.step >= 100:
+                if max_s is not None and self.step >= STEPS_TO_TIME:
                     self.schedule.fit(self.step, self.elapsed_s, max_s)
                 over = self.step == self.schedule.total or self.elapsed_s >= stop_s
                 if self.step % settings.judge_every == 0 or over:
@@ -266,14 +315,14 @@ class _Pretrainer:
                     progress(Progress(self.step, total, loss, px, math.nan, self.elapsed_s, left))
 
     def _evaluate(self, loss: float, rate: float) -> None:
-        """Judge the averaged networks on pictures that are not trained on, each network by itself."""
-        located, refined = _judge(self.pair.average, self.judged)
+        """Validate the averaged networks, each by itself, on images that are not trained on."""
+        located, refined = _validation_errors(self.networks.average, self.validation)
         self.rows.append(
             {
                 "step": self.step,
                 "elapsed_s": round(self.elapsed_s, 1),
                 "loss": round(loss, 5),
-                "located_share": round(float((located <= FOUND_SHARE).mean()), 4),
+                "located_share": round(float((located <= LOCATED_WITHIN).mean()), 4),
                 "located_median": round(float(np.median(located)), 4),
                 "refined_px": round(float(np.median(refined)), 4),
                 "learning_rate": rate,
@@ -282,17 +331,17 @@ class _Pretrainer:
 
     def finish(self) -> Checkpoint:
         """The averaged networks as a checkpoint."""
-        network = self.pair.average
-        found, known = _found(network, self.judged)
-        peaks = reference_peaks(found.likelihood, known)
-        width, height = PICTURE_WH
-        # Where and at which scales to look is found anew for every video; this is what the networks have seen.
-        region = RegionOfInterest(PICTURE_WH, 0, 0, width, height, LOCATOR_INPUT / max(PICTURE_WH), 1.0)
+        network = self.networks.average
+        found, visible = _detected(network, self.validation)
+        peaks = reference_peaks(found.likelihood, visible)
+        width, height = IMAGE_WH
+        # Every video gets its own region and scales; these are the ones trained on.
+        region = RegionOfInterest(IMAGE_WH, 0, 0, width, height, LOCATOR_INPUT / max(IMAGE_WH), 1.0)
         return Checkpoint(
             network=network.cpu().eval(),
             backbone=self.settings.backbone,
             keypoints=KEYPOINTS,
-            # Points along the midline are surer of their distance from it than of their place on it.
+            # Of the keypoints along the midline only the distance from it is certain, not the position on it.
             definition=AngleDefinition("two-vector", ENDS),
             regions=(region,),
             reference=REFERENCE,
@@ -310,18 +359,18 @@ class _Pretrainer:
         )
 
     def _spread_scale(self) -> float:
-        """How uncertain the ends are, seen from near where they are: what lies elsewhere altogether is not a spread."""
-        estimator = self.pair.average.estimator()
+        """Factor on the ends' predicted covariances, from patches around the truth: a wrong detection is no spread."""
+        estimator = self.networks.average.estimator()
         ends = [KEYPOINTS.index(name) for name in ENDS]
         near = concatenated(
-            [estimator.refine(s.image[None], f.xy[None], _geometry(f)) for s, f in self.judged]
+            [estimator.refine(s.image[None], f.xy[None], _geometry(f)) for s, f in self.validation]
         )
-        truth = np.stack([np.where(s.visible[:, None], f.xy, np.nan) for s, f in self.judged])
+        truth = np.stack([np.where(s.visible[:, None], f.xy, np.nan) for s, f in self.validation])
         found = Detections(near.xy[:, ends], near.likelihood[:, ends], near.covariance[:, ends])
         return typical_scale(found, truth[:, ends])
 
     def save_state(self) -> None:
-        """Write all that `restore` needs, and training.csv."""
+        """Write all that a resumed pretraining needs, and training.csv."""
         self.folder.mkdir(parents=True, exist_ok=True)
         no_labels = np.empty((0, len(KEYPOINTS), 2))
         state = TrainingState(
@@ -336,45 +385,63 @@ class _Pretrainer:
             start=self.settings.init,
             mapping={},
         )
-        save_state(self.state_file, state, self.pair.learners)
+        save_state(self.state_file, state, self.networks.optimisers)
         write_rows(self.folder, self.rows)
 
-    def restore(self) -> None:
-        """Go back to where a stopped pretraining last saved its state."""
+    def _saved_state(self) -> TrainingState:
+        """The state that was last saved; its weights are loaded into the networks."""
         if not self.state_file.is_file():
             raise TrainingError(f"--resume: expected an unfinished pretraining in {self.folder}, got none")
-        state = load_state(self.state_file, self.pair.learners, self.settings.identity)
-        self.step, self.elapsed_s, self.rows = state.step, state.elapsed_s, state.rows
+        return load_state(self.state_file, self.networks.optimisers, self.settings.identity)
+
+
+def _load_initial_weights(network: Cascade, settings: PretrainingSettings) -> None:
+    """Load the weights that `settings.init` names into a network."""
+    init = settings.init
+    source = source_checkpoint(init, settings.backbone)
+    if source is None or not set(ENDS) <= set(source.keypoints):
+        raise WeightsError(
+            f"--init: expected random, actuator, or a network with backbone {settings.backbone} that was"
+            f" pretrained, got {init}"
+        )
+    source_seed = source.training["settings"]["seed"]
+    if source.pretrained and source_seed in (settings.seed, settings.seed + 1):
+        raise TrainingError(
+            f"--seed: expected one whose pictures {init} has not seen, such as {source_seed + 2}, got {settings.seed}"
+        )
+    transfer_weights(network, KEYPOINTS, source, keypoint_mapping(KEYPOINTS, source.keypoints))
 
 
 @contextmanager
-def _drawn(
+def _rendered(
     settings: PretrainingSettings, first: int, count: int, workers: int
-) -> Iterator[Iterator[Rendered]]:
-    """The stream's pictures from number `first` on, drawn ahead by processes, as many at a time as a step takes in; one
-    time ends with number `count`."""
+) -> Iterator[Iterator[RenderedBatch]]:
+    """Images of the stream from index `first` on, rendered ahead of time by processes.
 
-    def numbers() -> Iterator[range]:
+    They come in batches of as many as a step adds; the first batch may be smaller, so that one ends before `count`.
+    """
+
+    def batches_of_indices() -> Iterator[range]:
         start, stop = first, first + ((count - first) % settings.pictures or settings.pictures)
         while True:
             yield range(start, stop)
             start, stop = stop, stop + settings.pictures
 
-    def pictures() -> Iterator[Rendered]:
-        asked = (pool.submit(rendered_pictures, settings.seed, indices) for indices in numbers())
-        ahead = deque(islice(asked, AHEAD * workers))
+    def batches() -> Iterator[RenderedBatch]:
+        submitted = (pool.submit(render_batch, settings.seed, indices) for indices in batches_of_indices())
+        ahead = deque(islice(submitted, PREFETCH_STEPS * workers))
         while True:
             yield ahead.popleft().result()
-            ahead.append(next(asked))
+            ahead.append(next(submitted))
 
-    # Not torch's loader: its handler of SIGCHLD and the large frames of processors with AMX do not go together with the
-    # small signal stacks that some libraries set.
+    # Not torch's DataLoader: its SIGCHLD handler needs more stack on processors with AMX than the small signal stacks
+    # that some libraries set.
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(
         max_workers=workers, mp_context=context, initializer=cv2.setNumThreads, initargs=(1,)
     )
     try:
-        yield pictures()
+        yield batches()
     finally:
         pool.shutdown(cancel_futures=True)
 
@@ -384,24 +451,30 @@ def _geometry(frame: PreparedFrame) -> CropGeometry:
     return CropGeometry(frame.region, REFERENCE)
 
 
-def _judge(network: Cascade, judged: list[tuple[Sample, PreparedFrame]]) -> tuple[FloatArray, FloatArray]:
-    """Distances of visible keypoints from the truth: located, over the body's length; refined, px of the picture."""
+def _validation_errors(
+    network: Cascade, validation: list[tuple[Sample, PreparedFrame]]
+) -> tuple[FloatArray, FloatArray]:
+    """Distances of visible keypoints from the truth: the locator's in body lengths, and the refiner's in image px."""
     estimator = network.estimator()
     located, refined = [], []
-    for sample, frame in judged:
-        picture, truth = sample.image[None], frame.xy[None]
-        seen = sample.visible
-        xy = estimator.propose(picture, _geometry(frame)).xy
+    for sample, frame in validation:
+        image, truth = sample.image[None], frame.xy[None]
+        visible = sample.visible
+        xy = estimator.propose(image, _geometry(frame)).xy
         length = np.linalg.norm(np.diff(frame.xy, axis=0), axis=1).sum()
-        located.append(np.linalg.norm(xy - truth, axis=2)[0, seen] / length)
-        # The refiner by itself: from where the keypoints are.
-        found = estimator.refine(picture, truth, _geometry(frame))
-        refined.append(np.linalg.norm(found.xy - truth, axis=2)[0, seen])
+        located.append(np.linalg.norm(xy - truth, axis=2)[0, visible] / length)
+        # The refiner by itself: from the true positions.
+        found = estimator.refine(image, truth, _geometry(frame))
+        refined.append(np.linalg.norm(found.xy - truth, axis=2)[0, visible])
     return np.concatenate(located), np.concatenate(refined)
 
 
-def _found(network: Cascade, judged: list[tuple[Sample, PreparedFrame]]) -> tuple[Detections, BoolArray]:
-    """What both networks together find in pictures, and which keypoints (N, K) can be seen."""
+def _detected(
+    network: Cascade, validation: list[tuple[Sample, PreparedFrame]]
+) -> tuple[Detections, BoolArray]:
+    """Detections of both networks together in validation images, and which keypoints (N, K) are visible."""
     estimator = network.estimator()
-    found = concatenated([estimator.detect(sample.image[None], _geometry(frame)) for sample, frame in judged])
-    return found, np.stack([sample.visible for sample, _ in judged])
+    found = concatenated(
+        [estimator.detect(sample.image[None], _geometry(frame)) for sample, frame in validation]
+    )
+    return found, np.stack([sample.visible for sample, _ in validation])

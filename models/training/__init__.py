@@ -1,1 +1,1 @@
-"""Training a network on the labelled frames of a project."""
+"""Training a cascade on the labelled frames of a project."""

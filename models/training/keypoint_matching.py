@@ -1,7 +1,7 @@
-"""Which of a project's keypoints a pretrained network knows already, told by the first labels where no name says it.
+"""Keypoint matching by image content: which of a project's keypoints a pretrained network knows, whatever their names.
 
-What it finds in the labelled frames of a video, held against each other as glimpses of any video are, lies near some of
-the labels: these are its keypoints, whatever they are called and in whichever order.
+The network finds its own keypoints in the labelled frames of a video (multi-frame consensus); each label that lies near
+one of them, in the median over the frames, is that keypoint. Matching by name and order is in `transfer`.
 """
 
 from __future__ import annotations
@@ -19,65 +19,76 @@ from ..localization.probe_frames import multi_frame_consensus
 from ..networks.checkpoint import Checkpoint
 from .transfer import ENDS
 
-NEAR = 0.1
-"""A label is of a known keypoint that lies within so much of the body's length, in the median over the frames: points
-along the midline are found a twentieth of it off, and lie an eighth of it apart."""
+MAX_DISTANCE = 0.1
+"""Largest median distance of a label from the keypoint that it matches, in body lengths: points along the midline are
+located to a twentieth of it, and are an eighth of it apart."""
 
-ENDS_FIRST = 0.03
-"""What is near an end's point and a midline's is the end's, unless it is nearer to the midline's by so much of the
-body's length: it is ends that are mostly labelled."""
+MIDLINE_PENALTY = 0.03
+"""Added to the distances, in body lengths, from keypoints along the midline: mostly ends are labelled, so a label near
+both an end's keypoint and one of the midline matches the end."""
 
-LEAST_FRAMES, MOST_FRAMES = 4, 32
-"""Frames of one video by which that is told: fewer do not tell which end rests."""
+MIN_FRAMES, MAX_FRAMES = 4, 32
+"""Frames of one video that are compared: fewer than the first do not show which end rests, the second are enough for
+a median."""
 
-LEAST_TIMES = 3
-"""Labels of a keypoint among them that make a median."""
+MIN_LABELS = 3
+"""Fewest labels of a keypoint among these frames that make a median."""
 
 
 def match_keypoints(
     source: Checkpoint,
     keypoints: Sequence[str],
     labels: FloatArray,
-    pictures: Sequence[ImageArray],
+    images: Sequence[ImageArray],
     videos: Sequence[str],
 ) -> dict[str, str]:
-    """The network's keypoint for each of ours that is labelled where the network finds one.
+    """The source network's keypoint for each of ours that is labelled where the network finds one.
 
     Parameters
     ----------
-    parent : a network; of one that was not pretrained nothing is said
-    keypoints : names of the K keypoints
-    labels : (N, K, 2) px, NaN where not labelled
-    pictures : RGB uint8 (H, W, 3), N of them
-    videos : which video each is from; the one with the most labels counts
+    source : Checkpoint
+        A pretrained network; for any other nothing matches.
+    keypoints : sequence of K str
+        Names of the project's keypoints.
+    labels : (N, K, 2) float array
+        px, NaN where not labelled.
+    images : sequence of N (H, W, 3) uint8 arrays
+        RGB.
+    videos : sequence of N str
+        The video that each frame is from; the one with the most labelled frames is used.
+
+    Returns
+    -------
+    dict from str to str
+        Empty where the frames are too few or show no actuator.
     """
     video, count = Counter(videos).most_common(1)[0]
-    if not source.pretrained or count < LEAST_FRAMES:
+    if not source.pretrained or count < MIN_FRAMES:
         return {}
     rows = [
         i
         for i, own in enumerate(videos)
-        if own == video and pictures[i].shape == pictures[videos.index(video)].shape
+        if own == video and images[i].shape == images[videos.index(video)].shape
     ]
-    rows = rows[:: -(-len(rows) // MOST_FRAMES)]
+    rows = rows[:: -(-len(rows) // MAX_FRAMES)]
     try:
         consensus = multi_frame_consensus(
-            np.stack([pictures[i] for i in rows]), source, source.network.estimator(source.candidates)
+            np.stack([images[i] for i in rows]), source, source.network.estimator(source.candidates)
         )
     except VideoError:
         return {}
     if consensus.inlier.mean() < MIN_INLIER_SHARE:
         return {}
-    away = labels[rows][consensus.inlier][:, :, None] - consensus.found.xy[consensus.inlier][:, None]
-    apart = np.linalg.norm(away, axis=-1) / consensus.body_px
-    labelled = np.isfinite(apart[..., 0]).sum(axis=0) >= LEAST_TIMES
-    usual = np.full(apart.shape[1:], np.inf)
-    usual[labelled] = np.nanmedian(apart[:, labelled], axis=0)
-    midline = ENDS_FIRST * ~np.isin(source.keypoints, ENDS)
-    # What is near nothing is not to push others away.
-    ours, theirs = linear_sum_assignment(np.where(usual <= NEAR, usual, 1.0) + midline)
+    offset = labels[rows][consensus.inlier][:, :, None] - consensus.found.xy[consensus.inlier][:, None]
+    distance = np.linalg.norm(offset, axis=-1) / consensus.body_px
+    labelled = np.isfinite(distance[..., 0]).sum(axis=0) >= MIN_LABELS
+    median = np.full(distance.shape[1:], np.inf)
+    median[labelled] = np.nanmedian(distance[:, labelled], axis=0)
+    penalty = MIDLINE_PENALTY * ~np.isin(source.keypoints, ENDS)
+    # All pairs that are too far apart cost the same, so that they do not displace others in the assignment.
+    ours, theirs = linear_sum_assignment(np.where(median <= MAX_DISTANCE, median, 1.0) + penalty)
     return {
         keypoints[k]: source.keypoints[known]
         for k, known in zip(ours, theirs, strict=True)
-        if usual[k, known] <= NEAR
+        if median[k, known] <= MAX_DISTANCE
     }

@@ -1,6 +1,6 @@
-"""Optimisation steps: one network with its optimiser and its exponential moving average, and two of them in parallel.
+"""Optimisation steps: a network with its optimiser and its exponential moving average (EMA), and two in parallel.
 
-What a step learns from is drawn in `batches.py`.
+What batches a step takes is drawn in `batches`.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from types import TracebackType
 
 import torch
@@ -22,21 +23,33 @@ from ..networks.heatmaps import cell_loss, heatmap_loss
 from .batches import Batch
 
 SPREAD_WEIGHT = 0.1
-"""The spread head only describes; it must not steer the features."""
+"""Weight of the spread loss: the head should describe the residuals without steering the features."""
 
 LARGEST_GRADIENT = 5.0
-"""Norm that a step's gradient is cut to: one strange batch must not throw the weights about."""
+"""Norm that gradients are clipped to, so that one odd batch does not throw the weights off."""
 
 
 class NetworkOptimiser:
-    """Network, average and optimiser, a step at a time.
+    """A network with its AdamW optimiser and the EMA of its weights.
 
     Parameters
     ----------
-    network : with the weights to start from, on the device to train on
-    average : how much of the averaged weights is kept each step
-    weight_decay : AdamW's
-    cell_weight : of `heatmaps.cell_loss`
+    network : HeatmapNetwork
+        With its initial weights, on the device to train on; trained in place.
+    average : float
+        Decay of the EMA: the share of the averaged weights that is kept in each step.
+    weight_decay : float
+        AdamW's.
+    cell_weight : float
+        Weight of `heatmaps.cell_loss`.
+
+    Attributes
+    ----------
+    network : HeatmapNetwork
+        The one in training.
+    average : HeatmapNetwork
+        The same with averaged weights.
+    optimizer : torch.optim.AdamW
     """
 
     def __init__(
@@ -47,17 +60,29 @@ class NetworkOptimiser:
         weight_decay: float,
         cell_weight: float = 0.0,
     ) -> None:
-        # Convolutions read pixel after pixel, where bfloat16 pays most.
+        # Channels last: the layout in which convolutions in bfloat16 are fastest.
         self.network = convert_conv2d_weight_memory_format(network, torch.channels_last)
         self.average = copy.deepcopy(network).requires_grad_(False)
         self.optimizer = torch.optim.AdamW(network.parameters(), weight_decay=weight_decay, fused=True)
-        self._keep = average
+        self._ema_decay = average
         self._cell_weight = cell_weight
-        # Convolutions only; weights, losses and steps stay in float32.
+        # For convolutions only; weights, losses and optimiser steps stay in float32.
         self._bfloat16 = has_bfloat16(network.mean.device)
 
     def learn(self, batch: Batch, step: int, learning_rate: float) -> float:
-        """Take step number `step`, from 0; returns the loss before it.
+        """Take one optimisation step.
+
+        Parameters
+        ----------
+        batch : Batch
+        step : int
+            Its number, from 0.
+        learning_rate : float
+
+        Returns
+        -------
+        float
+            The loss before the step.
 
         Raises
         ------
@@ -82,11 +107,11 @@ class NetworkOptimiser:
                 " train with a lower learning rate or another seed"
             )
         self.optimizer.step()
-        # A short memory at first, so that the average does not carry the random start along.
-        keep = min(self._keep, (step + 1) / (step + 10))
+        # The decay rises from 0.1, so that the average soon forgets the random start.
+        decay = min(self._ema_decay, (step + 1) / (step + 10))
         pairs = zip(self.average.state_dict().values(), self.network.state_dict().values(), strict=True)
         means, values = zip(*((m, v) for m, v in pairs if m.dtype.is_floating_point), strict=True)
-        get_ema_multi_avg_fn(keep)(means, values, step)
+        get_ema_multi_avg_fn(decay)(means, values, step)
         return float(loss.detach())
 
     def _loss(self, batch: Batch) -> Tensor:
@@ -102,7 +127,7 @@ class NetworkOptimiser:
 
 
 def has_bfloat16(device: torch.device) -> bool:
-    """Whether a device multiplies numbers in bfloat16 faster than in float32."""
+    """Whether a device computes faster in bfloat16 than in float32."""
     if device.type == "cuda":
         return torch.cuda.is_bf16_supported(including_emulation=False)
     if not hasattr(torch.cpu, "get_capabilities"):  # torch before 2.8
@@ -111,18 +136,26 @@ def has_bfloat16(device: torch.device) -> bool:
 
 
 class TwoNetworkTrainer:
-    """The two networks of a cascade, a step at a time. A context: torch has half of the cores in every thread there.
+    """Both networks of a cascade, which take their steps in parallel.
+
+    A context manager, entered once: within it torch computes with half of its threads, since two networks share the
+    cores; afterwards the number of threads is what it was.
 
     Parameters
     ----------
-    network : with the weights to start from, on the device to train on
-    average, weight_decay, cell_weight : as `NetworkOptimiser`'s
-    locator_share : of the learning rate, what the locator takes
+    network : Cascade
+        With its initial weights, on the device to train on; trained in place.
+    average, weight_decay, cell_weight : float
+        As `NetworkOptimiser`'s.
+    locator_share : float
+        Share of the learning rate that the locator takes.
 
     Attributes
     ----------
-    learners : both, by the names that their networks have in a cascade
-    average : the averaged networks as a cascade
+    optimisers : dict from str to NetworkOptimiser
+        Both optimisers, by the names that their networks have in a cascade.
+    average : Cascade
+        The networks with averaged weights.
     """
 
     def __init__(
@@ -138,35 +171,53 @@ class TwoNetworkTrainer:
             NetworkOptimiser(part, average=average, weight_decay=weight_decay, cell_weight=cell_weight)
             for part in (network.locator, network.refiner)
         )
-        self.learners = {"locator": locator, "refiner": refiner}
+        self.optimisers = {"locator": locator, "refiner": refiner}
         self._locator_share = locator_share
         self.average = Cascade.of(locator.average, refiner.average)
+        self._pool = ThreadPoolExecutor(max_workers=1)
+        self._on_exit = ExitStack()
 
     def __enter__(self) -> TwoNetworkTrainer:
-        self._threads_before = torch.get_num_threads()
-        torch.set_num_threads(max(1, self._threads_before // 2))
-        self._pool = ThreadPoolExecutor(max_workers=1)
+        threads = torch.get_num_threads()
+        self._on_exit.callback(torch.set_num_threads, threads)
+        self._on_exit.enter_context(self._pool)
+        torch.set_num_threads(max(1, threads // 2))
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._pool.shutdown()
-        torch.set_num_threads(self._threads_before)
+        self._on_exit.close()
 
     def learn(self, locate: Batch, refine: Sequence[Batch], step: int, learning_rate: float) -> float:
-        """Take step number `step`, from 0: the locator from its batch, the refiner from each of its own.
+        """Take one step of the locator and, in the meantime, one of the refiner for each of its batches.
+
+        Parameters
+        ----------
+        locate : Batch
+            The locator's.
+        refine : sequence of Batch
+            The refiner's.
+        step : int
+            Its number, from 0.
+        learning_rate : float
 
         Returns
         -------
-        The sum of the two networks' losses.
+        float
+            The locator's loss plus the mean of the refiner's.
+
+        Raises
+        ------
+        TrainingError
+            A loss or its gradient is not finite.
         """
-        located = self._pool.submit(
-            self.learners["locator"].learn, locate, step, learning_rate * self._locator_share
+        locator_loss = self._pool.submit(
+            self.optimisers["locator"].learn, locate, step, learning_rate * self._locator_share
         )
-        refiner, first = self.learners["refiner"], step * len(refine)
+        refiner, first = self.optimisers["refiner"], step * len(refine)
         losses = [refiner.learn(batch, first + i, learning_rate) for i, batch in enumerate(refine)]
-        return located.result() + sum(losses) / len(losses)
+        return locator_loss.result() + sum(losses) / len(losses)
 
     def state_of_average(self) -> dict[str, Tensor]:
         """A copy of the averaged weights."""

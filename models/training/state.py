@@ -1,4 +1,7 @@
-"""A training that is not finished, on disk: what is learning, and the schedule. safetensors and JSON."""
+"""The state file of an unfinished training: weights, optimisers and schedule, in safetensors with a JSON header.
+
+What a state means is known to `trainer` and to `pretraining.pretrainer`; here it is written and read.
+"""
 
 from __future__ import annotations
 
@@ -23,23 +26,35 @@ from .schedule import Schedule
 
 STATE_FILE = "training-state.safetensors"
 
-# Raised when the state's contents or the networks' layers change.
 FORMAT = 5
+"""Raised when the state's contents or the networks' layers change."""
 
 
 @dataclass
 class TrainingState:
-    """What a training knows besides its learners.
+    """Everything of a training that changes, besides weights and optimisers.
 
     Attributes
     ----------
-    identity : hash of settings and labels; another one cannot be resumed
-    step, elapsed_s, schedule : where it stands
-    rows : of training.csv
-    best, best_step : averaged weights with the lowest held-out error, and when
-    targets : (N, K, 2) px, the positions trained on
-    start : what the first weights were
-    taken : their keypoint for each of ours that they knew
+    identity : str
+        Hash of settings and labels; a training with another one cannot be resumed from this state.
+    step : int
+        Steps taken.
+    elapsed_s : float
+        Seconds that they took.
+    schedule : Schedule
+    rows : list of dict
+        Rows of training.csv.
+    best : dict from str to tensor, or None
+        Averaged weights with the lowest held-out error.
+    best_step : int
+        The step after which they were saved.
+    targets : (N, K, 2) float array
+        Positions trained on, px.
+    start : str
+        The initial weights, from `initialisation.resolve_init`.
+    mapping : dict from str to str
+        Their keypoint for each of ours that they knew.
     """
 
     identity: str
@@ -54,13 +69,26 @@ class TrainingState:
     mapping: dict[str, str]
 
 
-def save_state(path: Path, state: TrainingState, learners: Mapping[str, NetworkOptimiser]) -> None:
-    """Write a state, whole or not at all."""
+def save_state(path: Path, state: TrainingState, optimisers: Mapping[str, NetworkOptimiser]) -> None:
+    """Write a state file, whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+    state : TrainingState
+    optimisers : mapping from str to NetworkOptimiser
+        Each network with its optimiser, by its name in a cascade.
+
+    Raises
+    ------
+    CheckpointError
+        The file cannot be written.
+    """
     tensors = {f"best.{n}": v for n, v in (state.best or {}).items()}
-    for part, learner in learners.items():
-        tensors |= {f"{part}.network.{n}": v for n, v in learner.network.state_dict().items()}
-        tensors |= {f"{part}.average.{n}": v for n, v in learner.average.state_dict().items()}
-        for index, values in learner.optimizer.state_dict()["state"].items():
+    for part, optimiser in optimisers.items():
+        tensors |= {f"{part}.network.{n}": v for n, v in optimiser.network.state_dict().items()}
+        tensors |= {f"{part}.average.{n}": v for n, v in optimiser.average.state_dict().items()}
+        for index, values in optimiser.optimizer.state_dict()["state"].items():
             tensors |= {f"{part}.optimizer.{index}.{n}": torch.as_tensor(v) for n, v in values.items()}
     tensors["targets"] = torch.from_numpy(state.targets)
     header = {
@@ -77,13 +105,25 @@ def save_state(path: Path, state: TrainingState, learners: Mapping[str, NetworkO
     write_tensors(path, tensors, header)
 
 
-def load_state(path: Path, learners: Mapping[str, NetworkOptimiser], identity: str) -> TrainingState:
-    """Read a state, and what the learners had learnt into them.
+def load_state(path: Path, optimisers: Mapping[str, NetworkOptimiser], identity: str) -> TrainingState:
+    """Read a state file, and load its weights and moments into the networks and optimisers.
+
+    Parameters
+    ----------
+    path : Path
+    optimisers : mapping from str to NetworkOptimiser
+        Each network with its optimiser, by its name in a cascade; loaded in place.
+    identity : str
+        Of the training that is resumed.
+
+    Returns
+    -------
+    TrainingState
 
     Raises
     ------
     TrainingError
-        Damaged, or of a training with other settings or labels.
+        The file is damaged, or of a training with other settings or labels.
     """
     try:
         with safe_open(path, "pt") as file:
@@ -101,19 +141,19 @@ def load_state(path: Path, learners: Mapping[str, NetworkOptimiser], identity: s
             "--resume: expected the settings and labels that the training was started with, got others;"
             " train again without --resume"
         )
-    for part, learner in learners.items():
+    for part, optimiser in optimisers.items():
         own = _under(f"{part}.", tensors)
-        learner.network.load_state_dict(_under("network.", own))
-        learner.average.load_state_dict(_under("average.", own))
+        optimiser.network.load_state_dict(_under("network.", own))
+        optimiser.average.load_state_dict(_under("average.", own))
         moments: dict[int, dict[str, Tensor]] = {}
-        weights = list(learner.network.parameters())
+        weights = list(optimiser.network.parameters())
         for name, value in _under("optimizer.", own).items():
             index, key = name.split(".", 1)
             weight = weights[int(index)]
-            # In the order in which its weight lies in memory: a step in one pass takes both as they lie.
+            # In its weight's memory format: the fused step reads both in the order in which they lie in memory.
             laid_out = torch.empty_like(weight).copy_(value) if value.shape == weight.shape else value
             moments.setdefault(int(index), {})[key] = laid_out
-        learner.optimizer.load_state_dict({**learner.optimizer.state_dict(), "state": moments})
+        optimiser.optimizer.load_state_dict({**optimiser.optimizer.state_dict(), "state": moments})
     return TrainingState(
         identity=identity,
         step=header["step"],
@@ -129,10 +169,11 @@ def load_state(path: Path, learners: Mapping[str, NetworkOptimiser], identity: s
 
 
 def write_rows(folder: Path, rows: Sequence[Mapping[str, float]]) -> None:
-    """Write training.csv into a training's folder, whole or not at all."""
+    """Write training.csv into a folder, whole or not at all; `rows` is not empty."""
     lines = [",".join(rows[0]), *(",".join(str(value) for value in row.values()) for row in rows)]
     atomic_write_text(folder / "training.csv", "\n".join(lines) + "\n")
 
 
 def _under(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+    """The tensors whose names begin with a prefix, without it."""
     return {n.removeprefix(prefix): v for n, v in tensors.items() if n.startswith(prefix)}

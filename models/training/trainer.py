@@ -1,13 +1,11 @@
-"""Training: labelled frames in, a checkpoint out. The loop, and what is saved so that a kill loses little.
+"""The training loop: labelled frames in, a checkpoint out, and a state file so that a kill loses little.
 
-How the two networks take a step is in `pair.py`. Every random draw depends on (seed, step) only, so a training that is
-resumed goes on as if it had not stopped.
+How the two networks take a step is in `optimisation`, what they see in `batches`. Every random draw depends on
+(seed, step) only, so a resumed training computes what an uninterrupted one does.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 import signal
 import time
@@ -18,14 +16,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from ...tracker.angle import AngleDefinition, bending_angle
-from ...tracker.errors import LabelError, TrainingError
+from ...tracker.errors import TrainingError
 from ...tracker.interruption import stop_event
 from ...tracker.types import Detections, FloatArray, LabelledFrame
-from ..data.images import frame_id, read_image
-from ..data.prepared import prepare
+from ..data.images import frame_id
 from ..data.synthetic import rendered_frames
 from ..denoising.registration import shipped_features
 from ..denoising.robust_fit import systematic_bias
@@ -34,44 +30,54 @@ from ..inference.bias import correct_bias
 from ..inference.calibration import calibrate
 from ..inference.coarse_to_fine import concatenated
 from ..inference.crops import CropGeometry
-from ..inference.roi import reference_distances, reference_keypoints, regions_of_interest
+from ..inference.roi import reference_distances
 from ..networks.cascade import Cascade
 from ..networks.checkpoint import Checkpoint, best_device
-from ..networks.initialisation import load_backbone, resolve_init, starting_weights
+from ..networks.initialisation import random_cascade, resolve_init
 from .batches import Batch, BatchSampler, crop_wh
-from .keypoint_matching import match_keypoints
+from .initial_weights import load_initial_weights
 from .optimisation import TwoNetworkTrainer
 from .schedule import Schedule
 from .settings import TrainingSettings
-from .split import split
 from .state import STATE_FILE, TrainingState, load_state, save_state, write_rows
-from .transfer import keypoint_mapping, source_checkpoint, transfer_weights
+from .training_data import TrainingData, load_training_data
 
 EVALUATE_EVERY = 50
-"""Steps between evaluations; each is also where the state is saved: a kill costs half a minute."""
+"""Steps between evaluations. The state is saved at each, so a kill costs at most the half minute that they take."""
 
 CONSENSUS_FROM = 0.3
-"""Share of the steps after which positions follow the averaged network: before, it knows less than a click."""
+"""Share of the steps from which targets follow the averaged network; earlier its predictions are worse than clicks."""
 
 FINISH_OF_PREPARATION = 1.6
 """Time from the last step to the checkpoint, as a multiple of the time for the first targets: both find the keypoints
 in all frames and register the moving ends. Measured: 161 s and 104 s on a busy machine."""
 
 REPLAY_FRAMES = 160
-"""Rendered frames that a network which knows actuators is shown again: what it knows of them in other light and before
-other backgrounds must not be lost on thirty frames of one room."""
+"""Rendered frames for experience replay, where the start is a network that knows actuators: thirty frames of one room
+would make it forget other light and other backgrounds."""
+
+CLEARLY_WORSE = 1.15
+"""The best evaluation's weights are kept where the last held-out error is larger by this factor: held-out labels are
+few and carry an error of their own, so a smaller difference says nothing."""
+
+STEPS_TO_TIME = 10
+"""Steps after which the schedule is fitted to a time limit: the first ones are slower than the rest."""
 
 
 @dataclass(frozen=True)
 class Progress:
-    """What a training tells after every evaluation, and after each step with the errors left as they were.
+    """Where a training stands after a step; the errors are those of the last evaluation.
 
     Attributes
     ----------
-    step, total : steps done and to be done (the latter may shrink)
-    loss : of the step
-    held_out_px, held_out_deg : root mean square error on held-out frames, NaN without any
-    elapsed_s, left_s : seconds
+    step, total : int
+        Steps taken, and steps planned (which may shrink).
+    loss : float
+        Of the step.
+    held_out_px, held_out_deg : float
+        Root mean square error on held-out frames, NaN without any.
+    elapsed_s, left_s : float
+        Seconds.
     """
 
     step: int
@@ -93,18 +99,30 @@ def train(
     resume: bool = False,
     started_s: float | None = None,
     progress: Callable[[Progress], None] | None = None,
+    evaluate_every: int = EVALUATE_EVERY,
 ) -> Checkpoint:
     """Train a cascade on labelled frames and save it in `folder`.
 
     Parameters
     ----------
-    frames : labelled frames; those without any label are passed over
-    keypoints : names of the K keypoints
-    definition : the angle, for errors in degrees and for the checkpoint
-    folder : receives weights.safetensors, checkpoint.json and training.csv, and while it lasts the state
-    resume : go on from the state in `folder`
-    started_s : `time.monotonic()` from which `settings.max_minutes` count, the end of training included; None begins
-        now. Where a state is resumed, the time that was used before it counts too.
+    frames : sequence of LabelledFrame
+        Those without any label are skipped.
+    keypoints : sequence of K str
+        Names of the keypoints.
+    definition : AngleDefinition
+        The angle, for errors in degrees and for the checkpoint.
+    folder : Path
+        Receives weights.safetensors, checkpoint.json and training.csv, and the state file while the training lasts.
+    settings : TrainingSettings, optional
+    resume : bool
+        Continue from the state file in `folder`.
+    started_s : float, optional
+        `time.monotonic()` from which `settings.max_minutes` count, the end of training included. Default: now. In a
+        resumed training, the time that was used before counts too.
+    progress : callable, optional
+        Called after each step.
+    evaluate_every : int
+        Steps between evaluations; the state is saved at each. A resumed training must be given the same.
 
     Returns
     -------
@@ -114,27 +132,18 @@ def train(
     Raises
     ------
     LabelError
-        No labelled frames, or a picture that cannot be read.
+        There are no labelled frames, or an image cannot be read.
     TrainingError
-        The loss is not finite, or there is nothing fitting to resume.
+        The loss is not finite, or there is no state file that fits.
     WeightsError
-        The starting weights cannot be had.
+        The initial weights cannot be loaded.
     KeyboardInterrupt
-        Ctrl-C. Once the first step has begun, it is finished and its state saved before.
+        Ctrl-C. A step that has begun is finished and its state saved first.
     """
     started_s = time.monotonic() if started_s is None else started_s
     settings = settings or TrainingSettings()
-    labelled = [frame for frame in frames if not np.isnan(frame.xy).all()]
-    if not labelled:
-        raise LabelError(f"training: expected frames with labels, got {len(frames)} without any")
-    missing = [n for k, n in enumerate(keypoints) if all(np.isnan(f.xy[k]).any() for f in labelled)]
-    if missing:
-        raise LabelError(
-            f"training: expected every keypoint in some frame, got none for {', '.join(missing)}"
-        )
-    trainer = _Trainer(labelled, tuple(keypoints), definition, Path(folder), settings, resume)
-    if resume:
-        trainer.restore()
+    data = load_training_data(frames, keypoints, settings)
+    trainer = _Trainer(data, definition, Path(folder), settings, evaluate_every, resume=resume)
     trainer.run(started_s, progress)
     checkpoint = trainer.finish()
     checkpoint.save(Path(folder))
@@ -143,161 +152,124 @@ def train(
 
 
 class _Trainer:
-    """The state of one training and the steps that change it."""
+    """One training: what does not change in it, and the networks and the state that its steps change.
+
+    Parameters
+    ----------
+    data : TrainingData
+    definition : AngleDefinition
+    folder : Path
+        Where the state is saved.
+    settings : TrainingSettings
+    evaluate_every : int
+        Steps between evaluations.
+    resume : bool
+        Begin with the state file in `folder`.
+
+    Raises
+    ------
+    TrainingError
+        `resume`, and there is no state file that fits.
+    WeightsError
+        The initial weights cannot be loaded.
+    KeyboardInterrupt
+        Ctrl-C. A step that has begun is finished and its state saved first.
+    """
 
     def __init__(
         self,
-        frames: Sequence[LabelledFrame],
-        keypoints: tuple[str, ...],
+        data: TrainingData,
         definition: AngleDefinition,
         folder: Path,
         settings: TrainingSettings,
-        resume: bool,
+        evaluate_every: int = EVALUATE_EVERY,
+        *,
+        resume: bool = False,
     ) -> None:
-        self.frames, self.keypoints, self.definition = frames, keypoints, definition
-        self.folder = folder
-        self.device = best_device()
-        self.trained, self.held = split(frames, settings.held_out, settings.seed)
-        self.start = resolve_init(settings.init, settings.backbone)
-        self.mapping: dict[str, str] = {}
-        self.settings = settings
-        self._load_pictures()
-        torch.manual_seed(settings.seed)
-        network = Cascade(settings.backbone, len(keypoints))
-        if not resume:  # a training that is resumed has its weights; those that it started from may be gone
-            self._start_from(network)
-        network.to(self.device)
-        self.pair = TwoNetworkTrainer(
-            network,
+        self.data, self.definition, self.folder, self.settings = data, definition, folder, settings
+        self.evaluate_every = evaluate_every
+        self.state_file = folder / STATE_FILE
+        device = best_device()
+        start = resolve_init(settings.init, settings.backbone)
+        network = random_cascade(settings.backbone, len(data.keypoints), settings.seed)
+        # A resumed training has its weights in the state file; those that it started from may be gone.
+        mapping = {} if resume else load_initial_weights(network, start, settings.backbone, data)
+        self.networks = TwoNetworkTrainer(
+            network.to(device),
             average=settings.average,
             weight_decay=settings.weight_decay,
-            locator_share=settings.locator_share_from(self.start),
+            locator_share=settings.locator_share_from(start),
         )
-        self.schedule = Schedule(settings.steps_for(len(self.trained), self.start), settings.decay_share)
-        self.step, self.elapsed_s = 0, 0.0
-        # How long all takes that comes after the last step; measured as soon as there is something to go by.
-        self.finish_s = 0.0
-        self.rows: list[dict[str, float]] = []
-        self.best: dict[str, Tensor] | None = None
-        self.best_step = 0
-        self.last_px = self.last_deg = float("nan")
-        if not resume:
-            self._plan_lessons()
-
-    def _start_from(self, network: Cascade) -> None:
-        source = source_checkpoint(self.start, self.settings.backbone)
-        if source is not None:
-            self.mapping = self._counterparts(source)
-            transfer_weights(network, self.keypoints, source, self.mapping)
-            return
-        weights = starting_weights(self.start, self.settings.backbone)
-        if weights is not None:
-            load_backbone(network.locator, weights, self.start)
-            load_backbone(network.refiner, weights, self.start)
-
-    def _counterparts(self, source: Checkpoint) -> dict[str, str]:
-        """The parent's keypoint for each of ours that it knows."""
-        if set(self.keypoints) & set(source.keypoints):
-            return keypoint_mapping(self.keypoints, source.keypoints)
-        own = self.trained
-        told = match_keypoints(
-            source,
-            self.keypoints,
-            self.labels[own],
-            [self.pictures[i] for i in own],
-            [self.frames[i].video for i in own],
+        self.state = (
+            self._saved_state()
+            if resume
+            else TrainingState(
+                identity=data.identity(settings),
+                step=0,
+                elapsed_s=0.0,
+                schedule=Schedule(settings.steps_for(len(data.trained), start), settings.decay_share),
+                rows=[],
+                best=None,
+                best_step=0,
+                targets=np.array(data.labels, dtype=np.float64),
+                start=start,
+                mapping=mapping,
+            )
         )
-        return keypoint_mapping(self.keypoints, source.keypoints, told)
-
-    def _load_pictures(self) -> None:
-        pictures = [read_image(frame) for frame in self.frames]
-        sizes = [(p.shape[1], p.shape[0]) for p in pictures]
-        labels = np.stack([frame.xy for frame in self.frames]).astype(np.float64)
-        self.regions = regions_of_interest(labels, sizes)
-        regions = {region.frame_wh: region for region in self.regions}
-        self.reference = tuple(reference_keypoints(labels))
-        self.prepared = [
-            prepare(picture, xy, regions[size])
-            for picture, xy, size in zip(pictures, labels, sizes, strict=True)
-        ]
-        self.labels = labels
-        self.targets = labels.copy()
-        # Pictures are kept for evaluation at the scales that detection cuts itself.
-        self.pictures = pictures
-
-    def _plan_lessons(self) -> None:
-        """By what and beside what the labels are learnt, once it is known which keypoints the network knew."""
-        knows_them = self.start == "actuator" and bool(self.mapping)
+        last = self.state.rows[-1] if self.state.rows else {}
+        self.held_out_px = last.get("held_out_px", math.nan)
+        self.held_out_deg = last.get("held_out_deg", math.nan)
+        knows_keypoints = self.state.start == "actuator" and bool(self.state.mapping)
+        self.denoiser = _denoiser(data, settings, device if knows_keypoints else None)
         replay = (
-            rendered_frames(self.settings.seed, range(REPLAY_FRAMES), self.keypoints, self.mapping)
-            if knows_them
+            rendered_frames(settings.seed, range(REPLAY_FRAMES), data.keypoints, self.state.mapping)
+            if knows_keypoints
             else []
         )
-        # Not those of the network that learns: they would come to agree with its own errors.
-        features = shipped_features().to(self.device) if knows_them and self.settings.consensus else None
-        self.evidence = TargetDenoiser(
-            [self.prepared[i] for i in self.trained],
-            [self.pictures[i] for i in self.trained],
-            [self.frames[i].video for i in self.trained],
-            self.reference,
-            self.settings.consensus,
-            features,
+        self.sampler = BatchSampler(
+            replay, crop_wh(data.regions), data.reference, settings.batch_frames, settings.seed
         )
-        self.lessons = BatchSampler(
-            replay, crop_wh(self.regions), self.reference, self.settings.batch_frames, self.settings.seed
-        )
-
-    @property
-    def state_file(self) -> Path:
-        """Where a training that is not finished keeps its state."""
-        return self.folder / STATE_FILE
-
-    @property
-    def identity(self) -> str:
-        """Hash of all that a resumed training must have in common with the stopped one."""
-        settings = {**self.settings.to_dict(), "max_minutes": None}
-        digest = hashlib.sha256(json.dumps([settings, list(self.keypoints)], sort_keys=True).encode())
-        for frame in self.frames:
-            digest.update(f"{frame_id(frame)} {frame.actuator}".encode())
-            digest.update(np.ascontiguousarray(frame.xy, dtype=np.float64).tobytes())
-        return digest.hexdigest()
 
     def run(self, started_s: float, progress: Callable[[Progress], None] | None) -> None:
         """Train until the schedule ends."""
-        begun = started_s - self.elapsed_s
-        if self.settings.consensus and self.mapping and self.step == 0:
-            known = np.isin(self.keypoints, list(self.mapping))
+        settings, state, schedule = self.settings, self.state, self.state.schedule
+        begun = started_s - state.elapsed_s
+        # How long all takes that comes after the last step; measured as soon as there is something to go by.
+        finish_s = 0.0
+        if settings.consensus and state.mapping and state.step == 0:
+            known = np.isin(self.data.keypoints, list(state.mapping))
             prepared_s = time.monotonic()
-            self.targets[self.trained] = self.evidence.known_before(self.pair.average.estimator(), known)
-            self.finish_s = FINISH_OF_PREPARATION * (time.monotonic() - prepared_s)
-        limit_s = None if self.settings.max_minutes is None else self.settings.max_minutes * 60
-        first_step, first_s = self.step, time.monotonic() - begun
+            initial = self.denoiser.initial_targets(self.networks.average.estimator(), known)
+            state.targets[self.data.trained] = initial
+            finish_s = FINISH_OF_PREPARATION * (time.monotonic() - prepared_s)
+        limit_s = None if settings.max_minutes is None else settings.max_minutes * 60
+        first_step, first_s = state.step, time.monotonic() - begun
         with (
             ThreadPoolExecutor(max_workers=1) as pool,
-            self.pair,
+            self.networks,
             stop_event(signal.SIGINT) as stop,
         ):
-            batches = pool.submit(self._batches, self.step)
-            while self.step < self.schedule.total:
+            batches = pool.submit(self._batches, state.step)
+            while state.step < schedule.total:
                 locate, refine = batches.result()
-                batches = pool.submit(self._batches, self.step + 1)
-                loss = self.pair.learn(locate, refine, self.step, self._learning_rate)
-                self.step += 1
-                self.elapsed_s = time.monotonic() - begun
-                if limit_s is not None and self.step >= first_step + 10:
-                    # What came before the first step is paid once, and what comes after the last one too.
-                    step_s = (self.elapsed_s - first_s) / (self.step - first_step)
-                    left_s = max(0.0, limit_s - self.elapsed_s - self.finish_s)
-                    self.schedule.fit(self.step, step_s * self.step, step_s * self.step + left_s)
-                if self.step % EVALUATE_EVERY == 0 or self.step == self.schedule.total:
-                    # A batch is drawn from the targets as they are when its step comes: the one drawn ahead is
-                    # drawn again when they change, so that a resumed training sees the same.
+                batches = pool.submit(self._batches, state.step + 1)
+                loss = self.networks.learn(locate, refine, state.step, self._learning_rate)
+                state.step += 1
+                state.elapsed_s = time.monotonic() - begun
+                if limit_s is not None and state.step >= first_step + STEPS_TO_TIME:
+                    # What comes before the first step is paid once, and what comes after the last one too.
+                    step_s = (state.elapsed_s - first_s) / (state.step - first_step)
+                    left_s = max(0.0, limit_s - state.elapsed_s - finish_s)
+                    schedule.fit(state.step, step_s * state.step, step_s * state.step + left_s)
+                if state.step % self.evaluate_every == 0 or state.step == schedule.total:
+                    # An evaluation changes the targets: the batch drawn ahead is dropped and drawn again from the new
+                    # ones, as a resumed training draws it.
                     batches.result()
                     self._evaluate(loss)
-                    batches = pool.submit(self._batches, self.step)
-                    # An evaluation finds the keypoints once, the end of training twice.
-                    self.finish_s = max(self.finish_s, 2 * (time.monotonic() - begun - self.elapsed_s))
-                    self.elapsed_s = time.monotonic() - begun
+                    batches = pool.submit(self._batches, state.step)
+                    # An evaluation detects the keypoints once, the end of training twice.
+                    finish_s = max(finish_s, 2 * (time.monotonic() - begun - state.elapsed_s))
+                    state.elapsed_s = time.monotonic() - begun
                     self.save_state()
                 if progress:
                     progress(self._progress(loss))
@@ -306,139 +278,147 @@ class _Trainer:
                     raise KeyboardInterrupt
 
     def _batches(self, step: int) -> tuple[Batch, list[Batch]]:
-        """What the locator and the refiner learn from in a step."""
-        return self.lessons.batches(
-            step, {i: replace(self.prepared[i], xy=self.targets[i]) for i in self.trained}
+        """The batches of a step, for the locator and for the refiner."""
+        return self.sampler.batches(
+            step, {i: replace(self.data.prepared[i], xy=self.state.targets[i]) for i in self.data.trained}
         )
 
     @property
     def _learning_rate(self) -> float:
-        return self.settings.learning_rate_from(self.start) * self.schedule.factor(self.step)
+        state = self.state
+        return self.settings.learning_rate_from(state.start) * state.schedule.factor(state.step)
 
     def _detect(self, network: Cascade, indices: Sequence[int]) -> Detections:
+        data = self.data
         return concatenated(
             [
-                network.detect(self.pictures[i][None], CropGeometry(self.prepared[i].region, self.reference))
+                network.detect(data.images[i][None], CropGeometry(data.prepared[i].region, data.reference))
                 for i in indices
             ]
         )
 
     def _evaluate(self, loss: float) -> None:
-        """Judge the averaged network on the held-out frames, and let the targets follow it."""
-        if self.held:
-            found = self._detect(self.pair.average, self.held).xy
-            self.last_px = _rms(np.linalg.norm(found - self.labels[self.held], axis=2))
-            angles = [
-                bending_angle(xy, self.keypoints, self.definition)[0]
-                for xy in (found, self.labels[self.held])
-            ]
-            self.last_deg = _rms(angles[0] - angles[1])
-            if self.schedule.judge(self.step, self.last_px):
-                self.best = self.pair.state_of_average()
-                self.best_step = self.step
-        total = self.schedule.total
-        if self.settings.consensus and CONSENSUS_FROM * total <= self.step < total:
-            found = self._detect(self.pair.average, self.trained).xy
-            self.targets[self.trained] = self.evidence.less_noisy(found)
-        self.rows.append(
+        """Validate the averaged network on the held-out frames, and let the targets follow its predictions."""
+        data, state = self.data, self.state
+        if data.held_out:
+            found = self._detect(self.networks.average, data.held_out).xy
+            labels = data.labels[data.held_out]
+            self.held_out_px = _rms(np.linalg.norm(found - labels, axis=2))
+            angles = [bending_angle(xy, data.keypoints, self.definition)[0] for xy in (found, labels)]
+            self.held_out_deg = _rms(angles[0] - angles[1])
+            if state.schedule.validate(state.step, self.held_out_px):
+                state.best = self.networks.state_of_average()
+                state.best_step = state.step
+        total = state.schedule.total
+        if self.settings.consensus and CONSENSUS_FROM * total <= state.step < total:
+            found = self._detect(self.networks.average, data.trained).xy
+            state.targets[data.trained] = self.denoiser.targets(found)
+        state.rows.append(
             {
-                "step": self.step,
-                "elapsed_s": round(self.elapsed_s, 1),
+                "step": state.step,
+                "elapsed_s": round(state.elapsed_s, 1),
                 "loss": round(loss, 5),
-                "held_out_px": round(self.last_px, 4),
-                "held_out_deg": round(self.last_deg, 4),
+                "held_out_px": round(self.held_out_px, 4),
+                "held_out_deg": round(self.held_out_deg, 4),
                 "learning_rate": self._learning_rate,
             }
         )
 
     def _progress(self, loss: float) -> Progress:
-        left = self.elapsed_s / self.step * (self.schedule.total - self.step)
+        state = self.state
+        left_s = state.elapsed_s / state.step * (state.schedule.total - state.step)
         return Progress(
-            self.step, self.schedule.total, loss, self.last_px, self.last_deg, self.elapsed_s, left
+            state.step,
+            state.schedule.total,
+            loss,
+            self.held_out_px,
+            self.held_out_deg,
+            state.elapsed_s,
+            left_s,
         )
 
     def finish(self) -> Checkpoint:
-        """The averaged network as a checkpoint: the last, unless an earlier one was clearly better."""
-        network = self.pair.average
-        step, held_out_px = self.step, self.last_px
-        # Held-out labels are few and carry their own error, so only a clear difference counts.
-        if self.best is not None and self.last_px > 1.15 * self.schedule.best_px:
-            network.load_state_dict(self.best)
-            step, held_out_px = self.best_step, self.schedule.best_px
-        if self.evidence.features is not None:
-            found = self._detect(network, self.trained)
-            network.aligner = self.evidence.aligner(found.xy, self.settings.seed)
-        found = self._detect(network, self.trained)
-        own, scales = self.evidence.labels, self.evidence.patch_scale
-        offset = systematic_bias(found.xy, self.evidence.less_noisy(found.xy), self.reference, scales)
-        found = replace(found, xy=correct_bias(found.xy, offset, self.reference, scales))
-        lengths = reference_distances(own, self.reference, scales)
-        held = None
-        if self.held:
-            held = self._detect(network, self.held)
-            scales = np.array([self.prepared[i].region.refiner_scale for i in self.held])
-            held = replace(held, xy=correct_bias(held.xy, offset, self.reference, scales))
-        calibration = calibrate(found, own, held, self.labels[self.held] if self.held else None)
+        """The averaged network as a checkpoint: of the last step, unless an earlier one was clearly better."""
+        data, state, settings = self.data, self.state, self.settings
+        network = self.networks.average
+        step, held_out_px = state.step, self.held_out_px
+        if state.best is not None and held_out_px > CLEARLY_WORSE * state.schedule.best_px:
+            network.load_state_dict(state.best)
+            step, held_out_px = state.best_step, state.schedule.best_px
+        if self.denoiser.features is not None:
+            found = self._detect(network, data.trained)
+            network.aligner = self.denoiser.end_regressor(found.xy, settings.seed)
+        found = self._detect(network, data.trained)
+        labels, geometry = self.denoiser.labels, self.denoiser.geometry
+        bias = systematic_bias(found.xy, self.denoiser.targets(found.xy), geometry)
+        scale = geometry.patch_scale
+        found = replace(found, xy=correct_bias(found.xy, bias, data.reference, scale))
+        lengths = reference_distances(labels, data.reference, scale)
+        held_out = None
+        if data.held_out:
+            held_out = self._detect(network, data.held_out)
+            scale = np.array([data.prepared[i].region.refiner_scale for i in data.held_out])
+            held_out = replace(held_out, xy=correct_bias(held_out.xy, bias, data.reference, scale))
+        calibration = calibrate(
+            found, labels, held_out, data.labels[data.held_out] if data.held_out else None
+        )
         training = {
-            "settings": self.settings.to_dict(),
-            "started_from": self.start,
-            "known_before": self.mapping,
-            "steps": self.step,
+            "settings": settings.to_dict(),
+            "started_from": state.start,
+            "known_before": state.mapping,
+            "steps": state.step,
             "step_kept": step,
-            "minutes": round(self.elapsed_s / 60, 2),
+            "minutes": round(state.elapsed_s / 60, 2),
             "held_out_px": None if math.isnan(held_out_px) else held_out_px,
-            "trained_on": [frame_id(self.frames[i]) for i in self.trained],
-            "held_out": [frame_id(self.frames[i]) for i in self.held],
-            "settings_and_labels_sha256": self.identity,
+            "trained_on": [frame_id(data.frames[i]) for i in data.trained],
+            "held_out": [frame_id(data.frames[i]) for i in data.held_out],
+            "settings_and_labels_sha256": state.identity,
         }
         return Checkpoint(
             network=network.cpu().eval(),
-            backbone=self.settings.backbone,
-            keypoints=self.keypoints,
+            backbone=settings.backbone,
+            keypoints=data.keypoints,
             definition=self.definition,
-            regions=self.regions,
-            reference=self.reference,
+            regions=data.regions,
+            reference=data.reference,
             calibration=calibration,
-            systematic_bias=tuple(tuple((float(x), float(y)) for x, y in of) for of in offset),
+            systematic_bias=tuple(tuple((float(x), float(y)) for x, y in of) for of in bias),
             distance_range=tuple((float(low), float(high)) for low, high in lengths),
             training=training,
         )
 
     def save_state(self) -> None:
-        """Write all that `restore` needs, and training.csv, both whole or not at all."""
+        """Write all that a resumed training needs, and training.csv, each whole or not at all."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        save_state(
-            self.state_file,
-            TrainingState(
-                identity=self.identity,
-                step=self.step,
-                elapsed_s=self.elapsed_s,
-                schedule=self.schedule,
-                rows=self.rows,
-                best=self.best,
-                best_step=self.best_step,
-                targets=self.targets,
-                start=self.start,
-                mapping=self.mapping,
-            ),
-            self.pair.learners,
-        )
-        if self.rows:  # none before the first evaluation
-            write_rows(self.folder, self.rows)
+        save_state(self.state_file, self.state, self.networks.optimisers)
+        if self.state.rows:  # none before the first evaluation
+            write_rows(self.folder, self.state.rows)
 
-    def restore(self) -> None:
-        """Go back to where a killed training last saved its state."""
+    def _saved_state(self) -> TrainingState:
+        """The state that was last saved; its weights are loaded into the networks."""
         if not self.state_file.is_file():
             raise TrainingError(f"--resume: expected an unfinished training in {self.folder}, got none")
-        state = load_state(self.state_file, self.pair.learners, self.identity)
-        self.step, self.elapsed_s, self.schedule = state.step, state.elapsed_s, state.schedule
-        self.rows, self.best, self.best_step = state.rows, state.best, state.best_step
-        self.targets, self.start, self.mapping = state.targets, state.start, state.mapping
-        self._plan_lessons()
-        if self.rows:
-            self.last_px, self.last_deg = self.rows[-1]["held_out_px"], self.rows[-1]["held_out_deg"]
+        return load_state(self.state_file, self.networks.optimisers, self.data.identity(self.settings))
+
+
+def _denoiser(data: TrainingData, settings: TrainingSettings, device: torch.device | None) -> TargetDenoiser:
+    """The denoiser of the frames trained on; with a device, it registers moving ends there.
+
+    Ends are registered by the shipped features, not by those of the network in training: its own features would come to
+    agree with its errors.
+    """
+    features = shipped_features().to(device) if device is not None and settings.consensus else None
+    return TargetDenoiser(
+        [data.prepared[i] for i in data.trained],
+        [data.images[i] for i in data.trained],
+        [data.frames[i].video for i in data.trained],
+        data.reference,
+        settings.consensus,
+        features,
+    )
 
 
 def _rms(values: FloatArray) -> float:
+    """Root mean square of the values that are known, NaN where none is."""
     known = values[~np.isnan(values)]
     return float(np.sqrt((known**2).mean())) if known.size else float("nan")

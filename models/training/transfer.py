@@ -1,4 +1,7 @@
-"""A training that starts from another network of ours: both its networks, and its heads for keypoints that it knows."""
+"""Transfer from a source network of ours: the weights of both its networks, and its heads of keypoints that match.
+
+Which keypoints match is decided here by name and by order; by image content in `keypoint_matching`.
+"""
 
 from __future__ import annotations
 
@@ -14,20 +17,32 @@ from ..networks.initialisation import WORDS
 from ..networks.shipped import shipped_network
 
 ENDS = ("base_1", "base_2", "tip_1", "tip_2")
-"""What the first two and the last two keypoints of a chain are, where no name says it."""
+"""Canonical names of the first two and the last two keypoints of a chain whose names are not known."""
 
 
 def source_checkpoint(start: str, backbone: str) -> Checkpoint | None:
-    """The network that a training's start names; None where it names something else, or one with other layers.
+    """The checkpoint of ours that a training starts from.
+
+    Parameters
+    ----------
+    start : str
+        From `initialisation.resolve_init`.
+    backbone : str
+        Of the network to train.
+
+    Returns
+    -------
+    Checkpoint or None
+        None where the start is no checkpoint of ours, or has another backbone.
 
     Raises
     ------
     WeightsError
-        The start is "actuator", and no such network comes with this backbone.
+        The start is "actuator", and no shipped network has this backbone.
     """
     if start == "actuator":
         return load_checkpoint(shipped_network(backbone))
-    if start in WORDS:  # whatever lies under such a name
+    if start in WORDS:  # never a file, even where one has that name
         return None
     try:
         source = load_checkpoint(Path(start))
@@ -39,13 +54,19 @@ def source_checkpoint(start: str, backbone: str) -> Checkpoint | None:
 def transfer_weights(
     network: Cascade, keypoints: Sequence[str], source: Checkpoint, mapping: Mapping[str, str]
 ) -> None:
-    """Put a parent's weights into a network with keypoints of its own.
+    """Load a source's weights into a network with keypoints of its own.
 
-    Residual stages that the parent does not have say nothing at first.
+    Residual stages that the source does not have contribute zero at first.
 
     Parameters
     ----------
-    taken : the parent's keypoint for each of ours whose head is taken over; the other heads stay as they are
+    network : Cascade
+        Changed in place.
+    keypoints : sequence of str
+        Its keypoints.
+    source : Checkpoint
+    mapping : mapping from str to str
+        The source's keypoint for each of ours whose head is transferred; the other heads keep their weights.
     """
     rows = [row for name in mapping for row in _rows(keypoints, name)]
     source_rows = [row for name in mapping.values() for row in _rows(source.keypoints, name)]
@@ -62,39 +83,54 @@ def transfer_weights(
 
 
 def keypoint_mapping(
-    keypoints: Sequence[str], known: Sequence[str], match_keypoints: Mapping[str, str] | None = None
+    keypoints: Sequence[str], known: Sequence[str], matched: Mapping[str, str] | None = None
 ) -> dict[str, str]:
-    """For each keypoint the known one that it is: by name, or where no name is known, by its place in the chain,
-    whichever end of that comes first, as far as the labels do not say otherwise.
+    """The source's keypoint for each of ours that it knows.
 
-    recognised : what the labels say (`recognition.recognised`)
+    They match by name. Where no name is known, the first two and the last two of the chain are its ends, in the order
+    of the chain or reversed, whichever agrees with what matched by image content.
 
-    >>> counterparts(["root", "neck", "wrist", "nail"], ["base_1", "base_2", "mid_1", "tip_1", "tip_2"])
+    Parameters
+    ----------
+    keypoints : sequence of str
+        Ours, in the order of the chain.
+    known : sequence of str
+        The source's.
+    matched : mapping from str to str, optional
+        From `keypoint_matching.match_keypoints`.
+
+    Returns
+    -------
+    dict from str to str
+
+    Examples
+    --------
+    >>> keypoint_mapping(["root", "neck", "wrist", "nail"], ["base_1", "base_2", "mid_1", "tip_1", "tip_2"])
     {'root': 'base_1', 'neck': 'base_2', 'wrist': 'tip_1', 'nail': 'tip_2'}
-    >>> counterparts(["nail", "root"], ["base_1", "tip_2"], {"nail": "tip_2", "root": "base_1"})
+    >>> keypoint_mapping(["nail", "root"], ["base_1", "tip_2"], {"nail": "tip_2", "root": "base_1"})
     {'nail': 'tip_2', 'root': 'base_1'}
-    >>> counterparts(["nail", "wrist", "neck", "root"], [*ENDS], {"nail": "tip_2"})
+    >>> keypoint_mapping(["nail", "wrist", "neck", "root"], [*ENDS], {"nail": "tip_2"})
     {'root': 'base_1', 'neck': 'base_2', 'wrist': 'tip_1', 'nail': 'tip_2'}
-    >>> counterparts(["a", "b", "c", "d", "e"], [*ENDS], {"c": "tip_1"})
+    >>> keypoint_mapping(["a", "b", "c", "d", "e"], [*ENDS], {"c": "tip_1"})
     {'c': 'tip_1'}
-    >>> counterparts(["tip_2", "ear"], ["tip_1", "tip_2"])
+    >>> keypoint_mapping(["tip_2", "ear"], ["tip_1", "tip_2"])
     {'tip_2': 'tip_2'}
     """
     named = {name: name for name in keypoints if name in known}
     if named:
         return named
-    told = dict(match_keypoints or {})
+    mapping = dict(matched or {})
     if len(keypoints) < len(ENDS) or not set(ENDS) <= set(known):
-        return told
+        return mapping
     for chain in (keypoints, keypoints[::-1]):
-        placed = {**dict(zip((*chain[:2], *chain[-2:]), ENDS, strict=True)), **told}
+        placed = {**dict(zip((*chain[:2], *chain[-2:]), ENDS, strict=True)), **mapping}
         ends = [placed[name] for name in (*chain[:2], *chain[-2:])]
         if ends == list(ENDS) and len(set(placed.values())) == len(placed):
             return placed
-    return told
+    return mapping
 
 
 def _rows(keypoints: Sequence[str], name: str) -> list[int]:
-    """Rows of a head that belong to a keypoint: its heat, its two offsets, the three of its spread (`network.Maps`)."""
+    """Rows of a head that belong to a keypoint: its heat, two of its offset, three of its spread (`Maps`)."""
     k, i = len(keypoints), list(keypoints).index(name)
     return [i, *(k + 2 * i + j for j in range(2)), *(3 * k + 3 * i + j for j in range(3))]

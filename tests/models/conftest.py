@@ -1,4 +1,7 @@
-"""Small pictures with known points: four discs of different colours along a bending finger."""
+"""Small images with known keypoints: four discs of different colours along a bending finger.
+
+The shipped network is loaded once for all tests; no test changes it.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,10 @@ import numpy as np
 import pytest
 import torch
 
+from bendtrack.models.denoising.registration import shipped_features
+from bendtrack.models.networks.checkpoint import Checkpoint, load_checkpoint
+from bendtrack.models.networks.heatmap_network import FirstStage
+from bendtrack.models.networks.shipped import shipped_network
 from bendtrack.tracker.angle import AngleDefinition
 from bendtrack.tracker.types import LabelledFrame
 
@@ -28,7 +35,7 @@ def finger_xy(angle_deg: float) -> np.ndarray:
 
 
 def drawn(angle_deg: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """A picture RGB uint8 (120, 160, 3) of the finger and its points (4, 2)."""
+    """An image RGB uint8 (120, 160, 3) of the finger and its keypoints (4, 2) px."""
     rng = np.random.default_rng(seed)
     xy = finger_xy(angle_deg)
     big = np.full((480, 640, 3), (120, 125, 130), np.uint8)
@@ -46,9 +53,21 @@ def definition() -> AngleDefinition:
     return AngleDefinition("two-vector", KEYPOINTS)
 
 
+@pytest.fixture(scope="session")
+def shipped() -> Checkpoint:
+    """The shipped ResNet-18 network."""
+    return load_checkpoint(shipped_network("resnet18"))
+
+
+@pytest.fixture(scope="session")
+def features() -> FirstStage:
+    """The first stage of the shipped network."""
+    return shipped_features()
+
+
 @pytest.fixture
 def make_frames(tmp_path: Path) -> Callable[..., list[LabelledFrame]]:
-    """Labelled frames at given angles, written as pictures."""
+    """Labelled frames at given angles, written as image files."""
 
     def make(angles_deg: np.ndarray, noise_px: float = 0.0, start: int = 0) -> list[LabelledFrame]:
         rng = np.random.default_rng(start)
@@ -67,5 +86,5 @@ def make_frames(tmp_path: Path) -> Callable[..., list[LabelledFrame]]:
 
 @pytest.fixture(autouse=True)
 def _one_thread() -> None:
-    """The same sums in the same order everywhere: resuming is tested to the bit. Small pictures gain nothing by two."""
+    """Sums in the same order everywhere: resuming is tested to the bit. Small images gain nothing from two threads."""
     torch.set_num_threads(1)

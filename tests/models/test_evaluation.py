@@ -1,4 +1,4 @@
-"""Errors in px and degrees against a detector whose errors are known, and the files that tell of them."""
+"""Evaluation against detections with known errors, its files, and cross-validation."""
 
 from __future__ import annotations
 
@@ -31,7 +31,9 @@ def off_by(frames: list[LabelledFrame], shift: np.ndarray, definition: AngleDefi
     )
 
 
-def test_figures_are_those_of_the_known_error(make_frames: MakeFrames, definition: AngleDefinition) -> None:
+def test_statistics_are_those_of_the_known_error(
+    make_frames: MakeFrames, definition: AngleDefinition
+) -> None:
     frames = make_frames(np.linspace(0, 150, 8))
     frames = [replace(frame, actuator="ab"[i % 2]) for i, frame in enumerate(frames)]
     frames[2].xy[3] = np.nan
@@ -51,7 +53,7 @@ def test_figures_are_those_of_the_known_error(make_frames: MakeFrames, definitio
     assert summary["floor_for_1px_labels_deg"] == pytest.approx(np.rad2deg(2 / (5 * 24)), abs=1e-3)
 
 
-def test_files_and_pictures_are_written(
+def test_files_and_figures_are_written(
     make_frames: MakeFrames, definition: AngleDefinition, tmp_path: Path
 ) -> None:
     frames = make_frames(np.linspace(0, 150, 5))
@@ -83,7 +85,7 @@ def test_the_learning_curve_has_plain_numbers_on_its_axis(losses: tuple[float, .
         assert not [tick for tick in axes.get_yticklabels(minor=True) if tick.get_text()]
 
 
-def test_every_frame_is_judged_once_and_actuators_are_spread() -> None:
+def test_actuators_are_spread_evenly_over_folds() -> None:
     frames = [LabelledFrame(a, Path(f"{i}.png"), np.zeros((4, 2)), a) for i, a in enumerate("pppppppppqqqq")]
     part = fold_of_each(frames, 3, seed=0)
     for actuator, most in (("p", 3), ("q", 2)):
@@ -91,20 +93,22 @@ def test_every_frame_is_judged_once_and_actuators_are_spread() -> None:
         assert max(own.count(fold) for fold in range(3)) <= most
 
 
-def test_cross_validation_judges_all_frames(make_frames: MakeFrames, definition: AngleDefinition) -> None:
+def test_cross_validation_evaluates_every_frame_once(
+    make_frames: MakeFrames, definition: AngleDefinition
+) -> None:
     frames = make_frames(np.linspace(0, 150, 6))
     settings = TrainingSettings(init="random", steps=2, batch_frames=2)
-    told = []
+    reported = []
     result = cross_validate(
         frames,
         definition.points,
         definition,
         settings,
         2,
-        progress=lambda fold, p: told.append((fold, p.step)),
+        progress=lambda fold, p: reported.append((fold, p.step)),
     )
     assert sorted(f.image_path.name for f in result.frames) == sorted(f.image_path.name for f in frames)
     assert result.n_trained == 3
-    assert told == [(0, 1), (0, 2), (1, 1), (1, 2)]
+    assert reported == [(0, 1), (0, 2), (1, 1), (1, 2)]
     with pytest.raises(TrainingError, match=r"expected 2 to 6 .* got 9"):
         cross_validate(frames, definition.points, definition, settings, 9)

@@ -22,7 +22,7 @@ from bendtrack.models.networks.end_regressor import TorchEndRegressor
 from bendtrack.models.networks.shipped import shipped_network, working_copy
 from bendtrack.tracker.angle import bending_angle
 from bendtrack.tracker.hashing import file_sha256
-from bendtrack.tracker.synthetic.stream import KEYPOINTS, TRAINING, Stage, drawn_look, inflation_deg
+from bendtrack.tracker.synthetic.stream import KEYPOINTS, TRAINING, Renderer, drawn_look, inflation_deg
 
 FRAMES = 32
 SIZE_WH = (400, 300)
@@ -34,10 +34,10 @@ REFERENCE = (1, 0, 3, 2)
 def film():
     """Frames of one actuator while it bends, where its ends are (N, 4, 2) px, and its angle (N,) degrees."""
     look = drawn_look(21, 3, size_wh=SIZE_WH, families=TRAINING, bend_deg=(0.0, 150.0))
-    stage = Stage(look)
+    stage = Renderer(look)
     samples = [stage.frame(float(bend), noise_seed=i) for i, bend in enumerate(inflation_deg(look, FRAMES))]
     truth = np.stack([sample.keypoints_xy[ENDS] for sample in samples])
-    return np.stack([s.picture for s in samples]), truth, np.array([s.angle_deg for s in samples])
+    return np.stack([s.image for s in samples]), truth, np.array([s.angle_deg for s in samples])
 
 
 def tip_deg(xy: np.ndarray, truth: np.ndarray) -> np.ndarray:
@@ -60,7 +60,7 @@ def test_ends_that_are_found_here_and_there_are_laid_over_each_other_and_told_in
     np.testing.assert_array_equal(better[5], found[probe_frames][5])
     np.testing.assert_array_equal(better[:, :2], found[probe_frames][:, :2])
     assert aligner is not None
-    closer = [crop_end(picture, xy[2:], region).picture for picture, xy in zip(pictures, found, strict=True)]
+    closer = [crop_end(picture, xy[2:], region).image for picture, xy in zip(pictures, found, strict=True)]
     steps = TorchEndRegressor(aligner)(stacked(closer[others]))[:, 0]
     compiled = compiled_end_regressor(aligner, workers=2, threads=2)
     assert compiled.ends == ((2, 3),)

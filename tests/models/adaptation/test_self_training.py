@@ -16,7 +16,7 @@ from bendtrack.models.localization.probe_frames import PseudoLabels
 from bendtrack.models.networks.cascade import Cascade
 from bendtrack.models.networks.checkpoint import Checkpoint, load_checkpoint
 from bendtrack.models.networks.shipped import shipped_network
-from bendtrack.tracker.synthetic.stream import TRAINING, Stage, drawn_look, inflation_deg
+from bendtrack.tracker.synthetic.stream import TRAINING, Renderer, drawn_look, inflation_deg
 from bendtrack.tracker.types import BoolArray
 
 FRAMES = 24
@@ -28,11 +28,11 @@ NOTHING_WRONG = np.zeros((FRAMES, 2), bool)
 def film() -> tuple[np.ndarray, np.ndarray, RegionOfInterest]:
     """Frames (N, H, W, 3) of one actuator while it bends, its keypoints (N, 9, 2) px, and where it is."""
     look = drawn_look(21, 3, size_wh=SIZE_WH, families=TRAINING, bend_deg=(0.0, 150.0))
-    stage = Stage(look)
+    stage = Renderer(look)
     samples = [stage.frame(float(bend), noise_seed=i) for i, bend in enumerate(inflation_deg(look, FRAMES))]
     truth = np.stack([sample.keypoints_xy for sample in samples])
     (region,) = regions_of_interest(truth, [SIZE_WH] * FRAMES)
-    return np.stack([sample.picture for sample in samples]), truth, region
+    return np.stack([sample.image for sample in samples]), truth, region
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""Where an end lies, learnt from some rendered frames and told in others, whose truth is known."""
+"""The end-pose regressor, fitted on some rendered frames and evaluated on others with known truth."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bendtrack.models.denoising.end_regression import fit_end_regression
-from bendtrack.models.denoising.registration import LEAST, shipped_features
+from bendtrack.models.denoising.registration import MIN_FRAMES
 from bendtrack.models.inference.crops import crop_end, move_ends
 from bendtrack.models.inference.roi import RegionOfInterest, orientations, regions_of_interest
 from bendtrack.models.networks.end_regressor import EndRegressionNetwork, TorchEndRegressor
@@ -16,14 +16,14 @@ from bendtrack.models.networks.heatmap_network import FirstStage
 from bendtrack.tracker.synthetic.stream import (
     KEYPOINTS,
     TRAINING,
-    Stage,
+    Renderer,
     drawn_look,
     in_other_light,
     inflation_deg,
 )
 
 FRAMES = 24
-LEARNT, OTHERS = np.arange(0, FRAMES, 2), np.arange(1, FRAMES, 2)
+FITTED, OTHERS = np.arange(0, FRAMES, 2), np.arange(1, FRAMES, 2)
 REFERENCE = (1, 0, 3, 2)
 ENDS = [KEYPOINTS.index(name) for name in ("base_1", "base_2", "tip_1", "tip_2")]
 SIZE_WH = (400, 300)
@@ -31,19 +31,16 @@ SIZE_WH = (400, 300)
 Film = tuple[list[np.ndarray], np.ndarray, RegionOfInterest]
 
 
-@pytest.fixture(scope="module")
-def features() -> FirstStage:
-    return shipped_features()
-
-
 def film_of(other_light: bool) -> Film:
     """Frames of one actuator while it bends, where its ends are, (N, 4, 2) px, and the working region."""
     look = drawn_look(21, 3, size_wh=SIZE_WH, families=TRAINING, bend_deg=(0.0, 150.0))
-    stage = Stage(in_other_light(look, 5) if other_light else look)
-    samples = [stage.frame(float(bend), noise_seed=i) for i, bend in enumerate(inflation_deg(look, FRAMES))]
+    renderer = Renderer(in_other_light(look, 5) if other_light else look)
+    samples = [
+        renderer.frame(float(bend), noise_seed=i) for i, bend in enumerate(inflation_deg(look, FRAMES))
+    ]
     truth = np.stack([sample.keypoints_xy[ENDS] for sample in samples])
     (region,) = regions_of_interest(truth, [SIZE_WH] * FRAMES)
-    return [sample.picture for sample in samples], truth, region
+    return [sample.image for sample in samples], truth, region
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +48,7 @@ def film() -> Film:
     return film_of(other_light=False)
 
 
-def learn(
+def fit(
     film: Film, rows: np.ndarray, features: FirstStage, xy: np.ndarray | None = None, **other: object
 ) -> EndRegressionNetwork | None:
     pictures, truth, region = film
@@ -68,23 +65,23 @@ def learn(
 
 
 @pytest.fixture(scope="module")
-def aligner(film: Film, features: FirstStage) -> EndRegressionNetwork:
-    learnt = learn(film, LEARNT, features)
-    assert learnt is not None
-    return learnt
+def regressor(film: Film, features: FirstStage) -> EndRegressionNetwork:
+    fitted = fit(film, FITTED, features)
+    assert fitted is not None
+    return fitted
 
 
-def off(truth: np.ndarray) -> np.ndarray:
+def perturbed(truth: np.ndarray) -> np.ndarray:
     """Tips (N, 2, 2) px, shifted and turned by chance."""
     rng = np.random.default_rng(3)
     steps = rng.normal(size=(len(truth), 3)) * (1.5, 1.5, 0.035)
     return move_ends(truth[:, 2:], steps, 1.0)
 
 
-def aligned(aligner: EndRegressionNetwork, film: Film, tips: np.ndarray) -> np.ndarray:
+def corrected(regressor: EndRegressionNetwork, film: Film, tips: np.ndarray) -> np.ndarray:
     pictures, _, region = film
-    cut = [crop_end(picture, tip, region).picture for picture, tip in zip(pictures, tips, strict=True)]
-    steps = TorchEndRegressor(aligner)(np.ascontiguousarray(np.stack(cut).transpose(0, 3, 1, 2)))
+    cut = [crop_end(picture, tip, region).image for picture, tip in zip(pictures, tips, strict=True)]
+    steps = TorchEndRegressor(regressor)(np.ascontiguousarray(np.stack(cut).transpose(0, 3, 1, 2)))
     return move_ends(tips, steps[:, 0], region.refiner_scale)
 
 
@@ -99,76 +96,77 @@ def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def test_in_frames_that_were_not_learnt_from_tips_come_to_lie_right(
-    film: Film, aligner: EndRegressionNetwork
+def test_tip_poses_improve_in_frames_that_it_was_not_fitted_on(
+    film: Film, regressor: EndRegressionNetwork
 ) -> None:
-    assert aligner.pairs == ((2, 3),)
+    assert regressor.pairs == ((2, 3),)
     _, truth, _ = film
-    before = [rms(error[OTHERS]) for error in errors(off(truth), truth)]
-    after = [rms(error[OTHERS]) for error in errors(aligned(aligner, film, off(truth)), truth)]
+    before = [rms(error[OTHERS]) for error in errors(perturbed(truth), truth)]
+    after = [rms(error[OTHERS]) for error in errors(corrected(regressor, film, perturbed(truth)), truth)]
     assert before[0] > 1.2
     assert before[1] > 0.8
     assert after[0] < 0.5 * before[0]
     assert after[1] < 0.6 * before[1]
 
 
-def test_in_other_light_too(aligner: EndRegressionNetwork) -> None:
+def test_tip_poses_improve_in_other_light(regressor: EndRegressionNetwork) -> None:
     other = film_of(other_light=True)
     before, after = (
-        rms(errors(tips, other[1])[0]) for tips in (off(other[1]), aligned(aligner, other, off(other[1])))
+        rms(errors(tips, other[1])[0])
+        for tips in (perturbed(other[1]), corrected(regressor, other, perturbed(other[1])))
     )
     assert after < 0.6 * before
 
 
-def test_noise_in_positions_that_it_learns_from_is_not_all_learnt(film: Film, features: FirstStage) -> None:
+def test_noise_of_the_training_positions_is_averaged_out(film: Film, features: FirstStage) -> None:
     _, truth, _ = film
     noisy = truth + np.random.default_rng(1).normal(0, 0.5, truth.shape)
     noisy[:, :2] = truth[:, :2]
-    learnt = learn(film, LEARNT, features, noisy)
-    assert learnt is not None
+    fitted = fit(film, FITTED, features, noisy)
+    assert fitted is not None
     noise = rms(errors(noisy[:, 2:], truth)[0])
-    assert rms(errors(aligned(learnt, film, off(truth)), truth)[0][OTHERS]) < 0.9 * noise
+    assert rms(errors(corrected(fitted, film, perturbed(truth)), truth)[0][OTHERS]) < 0.9 * noise
 
 
-def test_the_same_is_learnt_again(film: Film, aligner: EndRegressionNetwork, features: FirstStage) -> None:
-    again = learn(film, LEARNT, features)
+def test_fitting_is_reproducible(film: Film, regressor: EndRegressionNetwork, features: FirstStage) -> None:
+    again = fit(film, FITTED, features)
     assert again is not None
-    tips = off(film[1])
-    np.testing.assert_allclose(aligned(again, film, tips), aligned(aligner, film, tips), atol=1e-3)
+    tips = perturbed(film[1])
+    np.testing.assert_allclose(corrected(again, film, tips), corrected(regressor, film, tips), atol=1e-3)
 
 
-def test_where_pictures_tell_nothing_the_network_is_left_alone(film: Film, features: FirstStage) -> None:
+def test_images_without_information_give_no_regressor(film: Film, features: FirstStage) -> None:
     pictures, truth, region = film
     rng = np.random.default_rng(0)
     noise = [rng.integers(0, 256, picture.shape, dtype=np.uint8) for picture in pictures]
     for blind in (noise, [np.full_like(picture, 90) for picture in pictures]):
-        assert learn((blind, truth, region), LEARNT, features) is None
+        assert fit((blind, truth, region), FITTED, features) is None
 
 
-def test_ends_that_rest_or_are_seldom_seen_are_not_learnt(film: Film, features: FirstStage) -> None:
+def test_ends_at_rest_or_in_too_few_frames_give_no_regressor(film: Film, features: FirstStage) -> None:
     _, truth, _ = film
-    assert learn(film, LEARNT[: LEAST - 1], features) is None
-    assert learn(film, LEARNT, features, reference=(1, 2, 3, 0)) is None
-    known = np.ones((len(LEARNT), 4), bool)
-    known[LEAST - 1 :, 3] = False
-    assert learn(film, LEARNT, features, known=known) is None
+    assert fit(film, FITTED[: MIN_FRAMES - 1], features) is None
+    assert fit(film, FITTED, features, reference=(1, 2, 3, 0)) is None
+    known = np.ones((len(FITTED), 4), bool)
+    known[MIN_FRAMES - 1 :, 3] = False
+    assert fit(film, FITTED, features, known=known) is None
     resting = truth.copy()
     resting[:, 2:] = truth[0, 2:]
-    assert learn(film, LEARNT, features, resting) is None
+    assert fit(film, FITTED, features, resting) is None
 
 
-def test_frames_of_several_sizes_are_learnt_from_together(film: Film, features: FirstStage) -> None:
+def test_frames_of_several_sizes_are_fitted_together(film: Film, features: FirstStage) -> None:
     """A frame twice as large, and the region's scale half of it: the closer pictures are the same but for blur."""
     pictures, truth, region = film
     large = [np.kron(picture, np.ones((2, 2, 1), np.uint8)) for picture in pictures]
     half = replace(region, frame_wh=(800, 600), refiner_scale=region.refiner_scale / 2)
-    mixed = [large[i] if i % 4 else pictures[i] for i in LEARNT]
-    videos = ["large" if i % 4 else "small" for i in LEARNT]
-    regions = [half if i % 4 else region for i in LEARNT]
-    xy = np.stack([2 * truth[i] + 0.5 if i % 4 else truth[i] for i in LEARNT])
-    learnt = fit_end_regression(
+    mixed = [large[i] if i % 4 else pictures[i] for i in FITTED]
+    videos = ["large" if i % 4 else "small" for i in FITTED]
+    regions = [half if i % 4 else region for i in FITTED]
+    xy = np.stack([2 * truth[i] + 0.5 if i % 4 else truth[i] for i in FITTED])
+    fitted = fit_end_regression(
         mixed, regions, xy, np.ones(xy.shape[:2], bool), REFERENCE, videos, features, 0
     )
-    assert learnt is not None
-    after = errors(aligned(learnt, film, off(truth)), truth)[0]
-    assert rms(after[OTHERS]) < 0.5 * rms(errors(off(truth), truth)[0][OTHERS])
+    assert fitted is not None
+    after = errors(corrected(fitted, film, perturbed(truth)), truth)[0]
+    assert rms(after[OTHERS]) < 0.5 * rms(errors(perturbed(truth), truth)[0][OTHERS])

@@ -1,4 +1,4 @@
-"""Moving ends laid over each other, in rendered frames whose truth is known."""
+"""Joint registration of moving ends in rendered frames with known truth."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from bendtrack.models.data.prepared import PreparedFrame, prepare
-from bendtrack.models.denoising.registration import LEAST, MOST, register_ends, shipped_features
+from bendtrack.models.denoising.registration import MAX_FRAMES, MIN_FRAMES, register_ends
 from bendtrack.models.inference.roi import orientations, regions_of_interest, turned
-from bendtrack.models.networks.heatmap_network import FirstStage
-from bendtrack.tracker.synthetic.stream import KEYPOINTS, TRAINING, Stage, drawn_look, inflation_deg
+from bendtrack.tracker.synthetic.stream import KEYPOINTS, TRAINING, Renderer, drawn_look, inflation_deg
 
 FRAMES = 16
 REFERENCE = (1, 0, 3, 2)
@@ -20,19 +19,14 @@ VIDEO = ["one"] * FRAMES
 
 
 @pytest.fixture(scope="module")
-def features() -> FirstStage:
-    return shipped_features()
-
-
-@pytest.fixture(scope="module")
 def film() -> tuple[list[PreparedFrame], np.ndarray]:
     """Frames of one actuator while it bends, and where its ends are, (N, 4, 2) px."""
     look = drawn_look(21, 3, size_wh=(400, 300), families=TRAINING, bend_deg=(0.0, 150.0))
-    stage = Stage(look)
-    samples = [stage.frame(bend) for bend in inflation_deg(look, FRAMES)]
+    renderer = Renderer(look)
+    samples = [renderer.frame(bend) for bend in inflation_deg(look, FRAMES)]
     truth = np.stack([sample.keypoints_xy[ENDS] for sample in samples])
     (region,) = regions_of_interest(truth, [(400, 300)] * FRAMES)
-    return [prepare(sample.picture, xy, region) for sample, xy in zip(samples, truth, strict=True)], truth
+    return [prepare(sample.image, xy, region) for sample, xy in zip(samples, truth, strict=True)], truth
 
 
 def off(truth: np.ndarray, seed: int = 0) -> np.ndarray:
@@ -52,7 +46,7 @@ def tip_deg(xy: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return np.asarray(np.degrees((apart + np.pi) % (2 * np.pi) - np.pi))
 
 
-def test_tips_come_to_lie_alike_and_their_mean_stays(film, features) -> None:
+def test_registration_removes_scatter_and_keeps_the_mean_pose(film, features) -> None:
     frames, truth = film
     start = off(truth)
     moved = register_ends(frames, start, np.ones(start.shape[:2], bool), REFERENCE, VIDEO, features)
@@ -71,13 +65,13 @@ def test_tips_come_to_lie_alike_and_their_mean_stays(film, features) -> None:
     np.testing.assert_array_equal(moved[:, :2], start[:, :2])
 
 
-def test_where_nothing_is_wrong_little_moves(film, features) -> None:
+def test_true_positions_hardly_move(film, features) -> None:
     frames, truth = film
     moved = register_ends(frames, truth, np.ones(truth.shape[:2], bool), REFERENCE, VIDEO, features)
     assert tip_deg(moved, truth).std() < 0.6
 
 
-def test_what_is_not_believed_and_what_rests_stays(film, features) -> None:
+def test_positions_that_are_not_trusted_and_ends_at_rest_stay(film, features) -> None:
     frames, truth = film
     start = off(truth)
     known = np.ones(start.shape[:2], bool)
@@ -93,14 +87,14 @@ def test_what_is_not_believed_and_what_rests_stays(film, features) -> None:
     one = start.copy()
     one[:, 2] = start[0, 2]
     np.testing.assert_array_equal(register_ends(frames, one, known, REFERENCE, VIDEO, features), one)
-    # Points that are not each other's partner are no end.
+    # Keypoints that are not each other's reference are no end.
     np.testing.assert_array_equal(register_ends(frames, start, known, (1, 2, 3, 0), VIDEO, features), start)
 
 
-def test_videos_are_laid_over_each_other_each_by_itself(film, features) -> None:
+def test_each_video_is_registered_by_itself(film, features) -> None:
     frames, truth = film
     start, known = off(truth), np.ones(truth.shape[:2], bool)
-    few = LEAST - 1
+    few = MIN_FRAMES - 1
     videos = ["few"] * few + ["many"] * (FRAMES - few)
     moved = register_ends(frames, start, known, REFERENCE, videos, features)
     np.testing.assert_array_equal(moved[:few], start[:few])
@@ -127,16 +121,16 @@ def test_frames_smaller_than_others_are_moved_in_their_own_px(film, features) ->
     )
 
 
-def test_more_frames_than_go_at_once_are_taken_in_parts(film, features, monkeypatch) -> None:
+def test_more_frames_than_fit_are_registered_in_parts(film, features, monkeypatch) -> None:
     frames, truth = film
-    assert FRAMES <= MOST
-    monkeypatch.setattr("bendtrack.models.denoising.registration.MOST", FRAMES // 2)
+    assert FRAMES <= MAX_FRAMES
+    monkeypatch.setattr("bendtrack.models.denoising.registration.MAX_FRAMES", FRAMES // 2)
     start, known = off(truth), np.ones(truth.shape[:2], bool)
     moved = register_ends(frames, start, known, REFERENCE, VIDEO, features)
     assert tip_deg(moved, truth).std() < 0.5 * tip_deg(start, truth).std()
 
 
-def test_a_tip_behind_something_stays_and_does_not_pull_the_others(film, features) -> None:
+def test_an_occluded_tip_stays_and_does_not_shift_the_others(film, features) -> None:
     frames, truth = film
     start, known = off(truth), np.ones(truth.shape[:2], bool)
     (x, y), side = frames[5].fine_view.to_input(truth[5, 2:]).mean(axis=0).round().astype(int), 45
@@ -151,7 +145,7 @@ def test_a_tip_behind_something_stays_and_does_not_pull_the_others(film, feature
     assert tip_deg(moved, truth)[others].std() < 0.5 * tip_deg(start, truth)[others].std()
 
 
-def test_where_nothing_is_to_be_seen_nothing_moves(film, features) -> None:
+def test_blank_images_move_nothing(film, features) -> None:
     frames, truth = film
     blank = [replace(frame, fine=np.full_like(frame.fine, 90)) for frame in frames]
     start = off(truth)

@@ -1,10 +1,11 @@
-"""Where labels lie beside what a network finds, and positions to train on that are better than a click."""
+"""Systematic bias of predictions against labels, and denoised positions that are better than a click."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from bendtrack.models.denoising.geometry import FrameGeometry
 from bendtrack.models.denoising.robust_fit import denoised_positions, systematic_bias
 from bendtrack.models.inference.bias import correct_bias
 from bendtrack.models.inference.roi import orientations, turned
@@ -12,7 +13,13 @@ from bendtrack.models.inference.roi import orientations, turned
 REFERENCE = (1, 0, 3, 2)
 FRAMES = 30
 SCALE = np.ones(FRAMES)
-VIDEO = ["one"] * FRAMES
+
+
+def geometry(
+    scale: np.ndarray, reference: tuple[int, ...] = REFERENCE, videos: list[str] | None = None
+) -> FrameGeometry:
+    """Of frames with these scales, from one video unless `videos` says otherwise."""
+    return FrameGeometry(reference, scale, tuple(videos or ["one"] * len(scale)))
 
 
 def arms(angles_deg: np.ndarray, scale: np.ndarray) -> np.ndarray:
@@ -47,10 +54,10 @@ def off_mean_px(moved: np.ndarray, truth: np.ndarray, labels: np.ndarray) -> np.
     return np.asarray((moved - truth - (labels - truth).mean(axis=0)).std(axis=0))
 
 
-def test_an_offset_that_turns_with_the_body_is_found_and_undone(bends) -> None:
+def test_a_bias_along_the_ends_axes_is_estimated_and_corrected(bends) -> None:
     truth, scale = bends
     found = shifted(truth, 0.3, -0.5, scale)
-    offset = systematic_bias(found, truth, REFERENCE, scale)
+    offset = systematic_bias(found, truth, geometry(scale))
     np.testing.assert_allclose(offset[:, 0], [[0, 0], [0, 0], [-0.3, 0.5], [-0.3, 0.5]], atol=1e-9)
     np.testing.assert_allclose(offset[:, 1:], 0, atol=1e-9)
     np.testing.assert_allclose(correct_bias(found, offset, REFERENCE, scale), truth, atol=1e-9)
@@ -59,17 +66,17 @@ def test_an_offset_that_turns_with_the_body_is_found_and_undone(bends) -> None:
         np.testing.assert_allclose(one, truth[i : i + 1], atol=1e-9)
 
 
-def test_after_it_the_labels_mean_is_met_also_when_they_are_noisy(bends) -> None:
+def test_corrected_predictions_have_the_mean_of_noisy_labels(bends) -> None:
     truth, scale = bends
     labels = truth + np.random.default_rng(0).normal(0, 0.5, truth.shape)
-    offset = systematic_bias(shifted(truth, 0.3, -0.5, scale), labels, REFERENCE, scale)
+    offset = systematic_bias(shifted(truth, 0.3, -0.5, scale), labels, geometry(scale))
     moved = correct_bias(shifted(truth, 0.3, -0.5, scale), offset, REFERENCE, scale)
     left = turned(labels - moved, -orientations(moved, REFERENCE)) * scale[:, None, None]
     # Not exactly: the moved ends point a little elsewhere, and where nearly nothing is slow a little is taken for it.
     np.testing.assert_allclose(left.mean(axis=0), 0, atol=0.01)
 
 
-def test_an_error_that_changes_as_the_end_turns_comes_off_as_far_as_noise_lets_see_it() -> None:
+def test_a_bias_that_changes_with_orientation_is_corrected_within_the_noise() -> None:
     angles = np.linspace(0, 180, FRAMES)
     truth = arms(angles, SCALE)
     # Across a tip that the light falls on from one side: 1.5 px to the one side, later to the other.
@@ -78,50 +85,50 @@ def test_an_error_that_changes_as_the_end_turns_comes_off_as_far_as_noise_lets_s
     found[:, 2:] += turned(np.stack([0 * drift, drift], axis=1), np.deg2rad(angles))[:, None]
     rng = np.random.default_rng(3)
     labels = truth + rng.normal(0, 0.5, truth.shape)
-    moved = correct_bias(found, systematic_bias(found, labels, REFERENCE, SCALE), REFERENCE, SCALE)
+    moved = correct_bias(found, systematic_bias(found, labels, geometry(SCALE)), REFERENCE, SCALE)
     across = turned(moved - truth, -orientations(truth, REFERENCE))[:, 2:, 1]
     assert drift.std() > 1.0  # px
     assert across.std(axis=0).max() < 0.35
     # From between the labels, too, and beyond them it does not run away.
     between = arms(np.array([93.0, 270.0]), np.ones(2))
-    offset = systematic_bias(found, labels, REFERENCE, SCALE)
+    offset = systematic_bias(found, labels, geometry(SCALE))
     steps = correct_bias(between, offset, REFERENCE, 1.0) - between
     assert np.linalg.norm(steps[0, 2:], axis=1).max() < 0.4
     assert np.linalg.norm(steps[1, 2:], axis=1).max() < 1.6
 
 
-def test_a_label_on_the_wrong_spot_and_missing_ones_change_nothing(bends) -> None:
+def test_outliers_and_missing_labels_do_not_change_the_bias(bends) -> None:
     truth, scale = bends
     labels = truth + np.random.default_rng(1).normal(0, 0.5, truth.shape)
     labels[:, 0] = np.nan
     labels[4, 3] = np.nan
-    before = systematic_bias(truth, labels, REFERENCE, scale)
+    before = systematic_bias(truth, labels, geometry(scale))
     assert not before[0].any()
     labels[4, 3] = truth[4, 3] + 80
-    np.testing.assert_allclose(systematic_bias(truth, labels, REFERENCE, scale), before, atol=1e-6)
+    np.testing.assert_allclose(systematic_bias(truth, labels, geometry(scale)), before, atol=1e-6)
 
 
-def test_thousands_of_labels_are_no_more_than_numbers_hold() -> None:
+def test_thousands_of_labels_do_not_underflow() -> None:
     rng = np.random.default_rng(4)
     truth = arms(rng.uniform(0, 180, 3000), np.ones(3000))
     found = truth + rng.normal(0, 0.01, truth.shape)
     found[:, 3] += rng.normal(0, 3.0, (3000, 2))
     labels = truth + rng.normal(0, 1.0, truth.shape)
-    moved, _ = denoised_positions(labels, found, REFERENCE, np.ones(3000), ["one"] * 3000)
+    moved, _ = denoised_positions(labels, found, geometry(np.ones(3000)))
     # Sure of the first three. Of the last the labels are nine times as sure as the network.
     error = off_mean_px(moved, truth, labels)
     assert error[:3].max() < 0.1
     assert 0.9 < error[3].max() < 1.0
 
 
-def test_one_label_of_a_keypoint_gives_its_offset() -> None:
+def test_one_label_of_a_keypoint_gives_its_bias() -> None:
     truth = arms(np.array([30.0]), np.ones(1))
-    offset = systematic_bias(shifted(truth, 0.3, -0.5, np.ones(1)), truth, REFERENCE, np.ones(1))
+    offset = systematic_bias(shifted(truth, 0.3, -0.5, np.ones(1)), truth, geometry(np.ones(1)))
     np.testing.assert_allclose(offset[2, 0], [-0.3, 0.5])
     assert not offset[:, 1:].any()
 
 
-def test_labels_lose_the_noise_that_is_not_the_networks() -> None:
+def test_labelling_noise_is_removed_and_the_networks_noise_is_not_added() -> None:
     """Four keypoints on a moving body: the network knows two, is unsure of one along the body, and lost at the last."""
     rng = np.random.default_rng(2)
     along = np.array([[0.0, 0.0], [30.0, 0.0], [60.0, 0.0], [90.0, 0.0]])
@@ -131,37 +138,37 @@ def test_labels_lose_the_noise_that_is_not_the_networks() -> None:
     off[:, 3] += rng.normal(0, 4.0, (FRAMES, 2))
     labels = truth + rng.normal(0, 1.0, truth.shape)
     # It puts every keypoint elsewhere than this hand, always in the same way.
-    moved, _ = denoised_positions(labels, truth + off + [1.5, -1.0], REFERENCE, SCALE, VIDEO)
+    moved, _ = denoised_positions(labels, truth + off + [1.5, -1.0], geometry(SCALE))
     error = off_mean_px(moved, truth, labels)
     assert error[:2].max() < 0.35  # px, where each click is off by one
     assert error[2, 1] < 0.35 < error[2, 0] < 1.0
     assert (error[3] < off_mean_px(labels, truth, labels)[3] + 0.06).all()
     # From an exact hand nothing is to be gained, and little is lost: what the network is off by where it is surest.
-    exact, _ = denoised_positions(truth, truth + off, REFERENCE, SCALE, VIDEO)
+    exact, _ = denoised_positions(truth, truth + off, geometry(SCALE))
     assert off_mean_px(exact, truth, truth).max() < 0.25
     # Four frames tell nothing of either's error.
-    few, _ = denoised_positions(labels[:4], truth[:4], REFERENCE, SCALE[:4], VIDEO[:4])
+    few, _ = denoised_positions(labels[:4], truth[:4], geometry(SCALE[:4]))
     np.testing.assert_array_equal(few, labels[:4])
 
 
-def test_a_label_far_from_what_was_found_stays_and_so_do_all_where_nothing_is_found_right() -> None:
+def test_outliers_keep_their_label_and_so_do_all_labels_of_a_keypoint_that_is_not_found() -> None:
     rng = np.random.default_rng(0)
     labels = rng.uniform(0, 100, (20, 1, 2))
     found = labels + rng.normal(1.0, 0.3, labels.shape)
     found[7, 0] = labels[7, 0] + 40
     labels[3, 0] = np.nan
-    moved, _ = denoised_positions(labels, found, (0,), SCALE[:20], VIDEO[:20])
+    moved, _ = denoised_positions(labels, found, geometry(SCALE[:20], (0,)))
     np.testing.assert_array_equal(moved[7], labels[7])
     assert np.isnan(moved[3]).all()
     assert np.abs(moved - labels)[[0, 1, 2, 4, 5, 6]].max() > 0.1
     lost = rng.uniform(0, 100, labels.shape)
-    np.testing.assert_array_equal(denoised_positions(labels, lost, (0,), SCALE[:20], VIDEO[:20])[0], labels)
+    np.testing.assert_array_equal(denoised_positions(labels, lost, geometry(SCALE[:20], (0,)))[0], labels)
     # However much its errors agree.
-    agreed, _ = denoised_positions(labels, labels + 30.0, (0,), SCALE[:20], VIDEO[:20])
+    agreed, _ = denoised_positions(labels, labels + 30.0, geometry(SCALE[:20], (0,)))
     np.testing.assert_allclose(agreed, labels, atol=1e-9)
 
 
-def test_what_rests_in_a_video_is_at_one_place_there() -> None:
+def test_a_keypoint_at_rest_in_a_video_has_one_position_there() -> None:
     rng = np.random.default_rng(2)
     place = np.array([[50.0, 40.0]])
     labels = place + rng.normal(0, 1, (20, 1, 2))
@@ -169,16 +176,26 @@ def test_what_rests_in_a_video_is_at_one_place_there() -> None:
     found[10:], labels[10:] = found[10:] + 7.0, labels[10:] + 7.0
     labels[3, 0] += 40.0
     two = ["first"] * 10 + ["second"] * 10
-    moved, _ = denoised_positions(labels, found, (0,), SCALE[:20], two)
+    moved, _ = denoised_positions(labels, found, geometry(SCALE[:20], (0,), two))
     np.testing.assert_allclose(moved[3], labels[3])
     for rows in ([0, 1, 2, 4, 5, 6, 7, 8, 9], range(10, 20)):
         assert np.ptp(moved[list(rows)], axis=0).max() == 0.0
     assert np.linalg.norm(moved[0] - place) < 0.7
     assert np.linalg.norm(moved[10] - place - 7.0) < 0.7
     # Taken for one video it moved by 7 px, and each position is its own.
-    assert np.ptp(denoised_positions(labels, found, (0,), SCALE[:20], VIDEO[:20])[0][10:], axis=0).min() > 0.5
+    assert np.ptp(denoised_positions(labels, found, geometry(SCALE[:20], (0,)))[0][10:], axis=0).min() > 0.5
     # What moves is left at its places, and so is what is seen too seldom to tell.
     moving = labels + np.linspace(0, 30, 20)[:, None, None]
     for count in (20, 4):
-        own, _ = denoised_positions(moving[:count], moving[:count] + 1.0, (0,), SCALE[:count], VIDEO[:count])
+        own, _ = denoised_positions(moving[:count], moving[:count] + 1.0, geometry(SCALE[:count], (0,)))
         assert len(np.unique(own[:, 0, 0])) == count
+
+
+def test_no_function_writes_into_its_arguments(bends) -> None:
+    truth, scale = bends
+    labels = truth + np.random.default_rng(0).normal(0, 0.5, truth.shape)
+    given = [truth.copy(), labels.copy(), scale.copy()]
+    denoised_positions(labels, truth, geometry(scale))
+    systematic_bias(truth, labels, geometry(scale))
+    for before, after in zip(given, (truth, labels, scale), strict=True):
+        np.testing.assert_array_equal(before, after)

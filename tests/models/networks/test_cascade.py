@@ -1,4 +1,4 @@
-"""Looking elsewhere when what should be there is not. The fallback is tested, so the network is a stand-in."""
+"""The fallback to the whole frame where a keypoint is not in the region. The networks are stand-ins."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_a_tip_beyond_the_region_is_found_in_the_whole_frame(cascade: Cascade) -
     assert found.likelihood.min() > 0.9
 
 
-def test_within_the_region_nothing_else_is_looked_at(cascade: Cascade) -> None:
+def test_a_keypoint_within_the_region_is_not_searched_elsewhere(cascade: Cascade) -> None:
     looked: list[tuple[int, ...]] = []
     cascade.locator.register_forward_hook(lambda module, given, out: looked.append(tuple(given[0].shape)))
     image = frame((60, 60), (120, 100))
@@ -63,7 +63,7 @@ def test_within_the_region_nothing_else_is_looked_at(cascade: Cascade) -> None:
     assert {shape[-1] for shape in looked} <= {160, 64}
 
 
-def test_what_is_nowhere_is_said_to_be_unlikely(cascade: Cascade) -> None:
+def test_an_absent_keypoint_has_a_low_likelihood(cascade: Cascade) -> None:
     image = frame((60, 60), (120, 100))
     image[90:110, 110:130] = 120
     found = cascade.detect(image[None], REGION, REFERENCE)

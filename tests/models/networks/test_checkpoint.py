@@ -1,4 +1,4 @@
-"""Checkpoints: what was saved comes back, and what is no checkpoint is said to be none."""
+"""Checkpoints: saving and loading, files of earlier versions, and files that are no checkpoint."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def checkpoint() -> Checkpoint:
     )
 
 
-def test_comes_back_as_it_was(checkpoint: Checkpoint, tmp_path: Path) -> None:
+def test_a_saved_checkpoint_loads_unchanged(checkpoint: Checkpoint, tmp_path: Path) -> None:
     checkpoint.save(tmp_path / "model")
     again = load_checkpoint(tmp_path / "model")
     assert (
@@ -62,7 +62,7 @@ def test_comes_back_as_it_was(checkpoint: Checkpoint, tmp_path: Path) -> None:
     assert again.region_for((640, 480)).width == 640
 
 
-def with_aligner(checkpoint: Checkpoint) -> Checkpoint:
+def with_end_regressor(checkpoint: Checkpoint) -> Checkpoint:
     """A network whose second pair of keypoints is an end that is put somewhere else wherever it is seen."""
     torch.manual_seed(1)
     aligner = EndRegressionNetwork(1)
@@ -73,10 +73,10 @@ def with_aligner(checkpoint: Checkpoint) -> Checkpoint:
     return checkpoint
 
 
-def test_how_ends_lie_comes_back_too(checkpoint: Checkpoint, tmp_path: Path) -> None:
+def test_the_end_regressor_is_saved_too(checkpoint: Checkpoint, tmp_path: Path) -> None:
     frames = np.random.default_rng(0).integers(0, 255, (2, 120, 160, 3), dtype=np.uint8)
     without = checkpoint.detect(frames)
-    before = with_aligner(checkpoint).detect(frames)
+    before = with_end_regressor(checkpoint).detect(frames)
     checkpoint.save(tmp_path / "model")
     after = load_checkpoint(tmp_path / "model").detect(frames)
     np.testing.assert_array_equal(before.xy, after.xy)
@@ -91,7 +91,7 @@ def test_networks_of_the_format_before_are_still_read(checkpoint: Checkpoint, tm
     np.testing.assert_array_equal(load_checkpoint(tmp_path).detect(frames).xy, checkpoint.detect(frames).xy)
 
 
-def test_others_may_read_it_as_any_file(checkpoint: Checkpoint, tmp_path: Path) -> None:
+def test_its_file_has_the_usual_permissions(checkpoint: Checkpoint, tmp_path: Path) -> None:
     file = checkpoint.save(tmp_path)
     assert file.stat().st_mode == (tmp_path / "checkpoint.json").stat().st_mode
 
@@ -115,9 +115,7 @@ def test_networks_with_fewer_stages_are_still_read(
     np.testing.assert_array_equal(load_checkpoint(tmp_path).detect(frames).xy, early.detect(frames).xy)
 
 
-def test_an_offset_that_was_saved_as_the_same_in_all_attitudes_is_still_read(
-    checkpoint: Checkpoint, tmp_path: Path
-) -> None:
+def test_a_bias_that_is_constant_in_orientation_is_still_read(checkpoint: Checkpoint, tmp_path: Path) -> None:
     early = replace(checkpoint, systematic_bias=tuple((of[0],) for of in checkpoint.systematic_bias))
     header = early.to_dict()
     header["label_offset_patch_px"] = [of[0] for of in header["label_offset_patch_px"]]
@@ -128,7 +126,7 @@ def test_an_offset_that_was_saved_as_the_same_in_all_attitudes_is_still_read(
     np.testing.assert_array_equal(again.detect(frames).xy, early.detect(frames).xy)
 
 
-def test_moving_to_another_folder_changes_nothing_and_the_hash_tells_networks_apart(
+def test_moving_to_another_folder_changes_nothing_and_other_weights_change_the_hash(
     checkpoint: Checkpoint, tmp_path: Path
 ) -> None:
     checkpoint.save(tmp_path / "a")
@@ -167,7 +165,7 @@ def test_it_is_safetensors_with_its_header_and_no_pickle(checkpoint: Checkpoint,
         ("other weights", "got a damaged file"),
     ],
 )
-def test_what_is_no_checkpoint_is_said(
+def test_a_file_that_is_no_checkpoint_is_refused(
     damage: str, message: str, checkpoint: Checkpoint, tmp_path: Path
 ) -> None:
     path = checkpoint.save(tmp_path)

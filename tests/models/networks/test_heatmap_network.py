@@ -32,7 +32,7 @@ def test_maps_have_a_cell_for_every_four_px(backbone: str, stages: int) -> None:
 
 
 @pytest.mark.parametrize("backbone", BACKBONES)
-def test_a_stage_keeps_as_many_convolutions_as_it_is_told(backbone: str) -> None:
+def test_a_stage_keeps_the_given_number_of_convolutions(backbone: str) -> None:
     network = HeatmapNetwork(backbone, 2, 1, convolutions=2)
     for stage in network.stages:
         square = [m for m in stage.modules() if isinstance(m, torch.nn.Conv2d) and m.kernel_size == (3, 3)]
@@ -40,7 +40,7 @@ def test_a_stage_keeps_as_many_convolutions_as_it_is_told(backbone: str) -> None
     assert network(torch.zeros(1, 3, 64, 64)).heat.shape == (1, 1, 16, 16)
 
 
-def test_normalisation_is_the_networks_own() -> None:
+def test_the_network_normalises_its_input() -> None:
     network = HeatmapNetwork("resnet18", 2, 1).eval()
     seen = []
     network.conv1.register_forward_hook(lambda module, given, out: seen.append(given[0]))
@@ -134,7 +134,7 @@ class Evil:
 
 
 @pytest.mark.parametrize("what", ["missing", "text", "pickle", "list"])
-def test_what_is_no_weights_file_is_said(
+def test_a_file_without_weights_is_refused(
     what: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "weights.pth"

@@ -1,4 +1,4 @@
-"""Maps made by hand: decoding reads the position that was put in; the loss is least there."""
+"""Hand-made maps: decoding returns the position put in, and the losses are least there."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from bendtrack.models.networks.heatmap_network import STRIDE, Maps
 from bendtrack.models.networks.heatmaps import cell_centres, cell_loss, decode, heatmap_loss
 
 
-def perfect(xy: np.ndarray, h: int = 12, w: int = 16, sd_px: float = 0.5) -> Maps:
+def exact_maps(xy: np.ndarray, h: int = 12, w: int = 16, sd_px: float = 0.5) -> Maps:
     """Maps of one picture that say exactly `xy` (K, 2), with a peak of about 0.9."""
     k = len(xy)
     cx, cy = cell_centres(h, w, torch.device("cpu"))
@@ -24,22 +24,22 @@ def perfect(xy: np.ndarray, h: int = 12, w: int = 16, sd_px: float = 0.5) -> Map
 
 
 @pytest.mark.parametrize("xy", [(20.3, 17.8), (1.5, 1.5), (0.0, 0.0), (61.9, 46.2), (63.4, 47.4)])
-def test_decoding_reads_what_the_maps_say_up_to_the_border(xy: tuple[float, float]) -> None:
-    found = decode(perfect(np.array([xy])))
+def test_decoding_returns_the_maps_position_up_to_the_border(xy: tuple[float, float]) -> None:
+    found = decode(exact_maps(np.array([xy])))
     np.testing.assert_allclose(found.xy[0, 0].numpy(), xy, atol=1e-3)
     assert 0.5 < found.likelihood.item() < 0.91
     np.testing.assert_allclose(found.covariance[0, 0].numpy(), np.eye(2) * 0.25, atol=1e-4)
 
 
-def test_moving_the_picture_by_a_cell_moves_the_position_by_the_stride() -> None:
-    first = decode(perfect(np.array([[20.3, 17.8]]))).xy
-    second = decode(perfect(np.array([[20.3 + STRIDE, 17.8]]))).xy
+def test_shifting_the_maps_by_a_cell_shifts_the_position_by_the_stride() -> None:
+    first = decode(exact_maps(np.array([[20.3, 17.8]]))).xy
+    second = decode(exact_maps(np.array([[20.3 + STRIDE, 17.8]]))).xy
     np.testing.assert_allclose((second - first)[0, 0].numpy(), [STRIDE, 0], atol=1e-3)
 
 
 def test_several_positions_are_peaks_apart_the_likeliest_first() -> None:
     one, other = np.array([[20.3, 17.8], [8.0, 40.0]]), np.array([[50.2, 30.1], [40.0, 8.0]])
-    first, second = perfect(one), perfect(other)
+    first, second = exact_maps(one), exact_maps(other)
     nearer = (first.offset.norm(dim=2, keepdim=True) < second.offset.norm(dim=2, keepdim=True)).float()
     both = Maps(
         torch.logit((first.heat.sigmoid() + 0.5 * second.heat.sigmoid()).clamp(max=0.99)),
@@ -55,7 +55,7 @@ def test_several_positions_are_peaks_apart_the_likeliest_first() -> None:
 
 
 def test_an_empty_heatmap_has_a_low_likelihood() -> None:
-    maps = perfect(np.array([[20.0, 20.0]]))._replace(heat=torch.full((1, 1, 12, 16), -6.0))
+    maps = exact_maps(np.array([[20.0, 20.0]]))._replace(heat=torch.full((1, 1, 12, 16), -6.0))
     assert decode(maps).likelihood.item() < 0.01
 
 
@@ -72,20 +72,20 @@ def loss(maps: Maps, xy: np.ndarray, known: bool = True, present: bool = True) -
 
 def test_offset_loss_is_zero_at_the_truth_and_grows_away_from_it() -> None:
     xy = np.array([[20.3, 17.8]])
-    maps = perfect(xy)
+    maps = exact_maps(xy)
     assert loss(maps, xy)["offset"] == pytest.approx(0.0, abs=1e-9)
     near, far = (loss(maps, xy + d)["offset"] for d in (0.5, 2.0))
     assert 0 < near < far
     assert loss(maps, xy)["heat"] < loss(maps, xy + 8)["heat"]
 
 
-def test_an_error_counts_for_more_in_the_direction_in_which_one_can_be_sure() -> None:
+def test_an_error_weighs_more_in_the_certain_direction() -> None:
     """A spread that is four times as long along (3, 4) as across: errors count two times and half as much."""
     xy = np.array([[20.3, 17.8]])
     along = np.array([0.6, 0.8])
     across = np.array([-0.8, 0.6])
     cov = 4.0 * np.outer(along, along) + 0.25 * np.outer(across, across)
-    maps, round_ = perfect(xy), perfect(xy)
+    maps, round_ = exact_maps(xy), exact_maps(xy)
     sx, sy = np.sqrt(np.diag(cov))
     maps.spread[:, :, 0], maps.spread[:, :, 1] = np.log(sx), np.log(sy)
     maps.spread[:, :, 2] = np.arctanh(cov[0, 1] / (sx * sy) / 0.95)
@@ -97,8 +97,8 @@ def test_an_error_counts_for_more_in_the_direction_in_which_one_can_be_sure() ->
     assert loss(maps, xy + small * across)["offset"] == pytest.approx(as_before * 4, rel=0.02)
 
 
-def test_an_unlabelled_point_costs_nothing_and_teaches_nothing() -> None:
-    maps = Maps(*(part.requires_grad_() for part in perfect(np.array([[20.0, 20.0]]))))
+def test_an_unlabelled_keypoint_has_no_loss_and_no_gradient() -> None:
+    maps = Maps(*(part.requires_grad_() for part in exact_maps(np.array([[20.0, 20.0]]))))
     parts = heatmap_loss(
         maps, torch.zeros(1, 1, 2), torch.zeros(1, 1, dtype=torch.bool), torch.ones(1, 1, dtype=torch.bool)
     )
@@ -108,9 +108,9 @@ def test_an_unlabelled_point_costs_nothing_and_teaches_nothing() -> None:
     assert all(float(part.grad.abs().max()) == 0.0 for part in maps)
 
 
-def test_a_hidden_point_wants_an_empty_heatmap_but_no_offset() -> None:
+def test_an_occluded_keypoint_needs_an_empty_heatmap_and_has_no_offset_loss() -> None:
     xy = np.array([[20.0, 20.0]])
-    full = perfect(xy)
+    full = exact_maps(xy)
     empty = full._replace(heat=torch.full_like(full.heat, -9.0))
     assert loss(empty, xy, present=False)["heat"] < 1e-3 < loss(full, xy, present=False)["heat"]
     assert loss(full, xy + 3, present=False)["offset"] == 0.0
@@ -119,19 +119,24 @@ def test_a_hidden_point_wants_an_empty_heatmap_but_no_offset() -> None:
 def test_spread_loss_is_least_at_the_residuals_own_size() -> None:
     xy = np.array([[20.3, 17.8]])
     off = 1.2
-    costs = {sd: loss(perfect(xy, sd_px=sd), xy + np.array([off, 0.0]))["spread"] for sd in (0.3, 0.85, 3.0)}
+    costs = {
+        sd: loss(exact_maps(xy, sd_px=sd), xy + np.array([off, 0.0]))["spread"] for sd in (0.3, 0.85, 3.0)
+    }
     assert costs[0.85] < costs[0.3]
     # However far off, claiming less spread never pays.
-    assert loss(perfect(xy, sd_px=0.1), xy + 5.0)["spread"] > loss(perfect(xy, sd_px=0.3), xy + 5.0)["spread"]
+    assert (
+        loss(exact_maps(xy, sd_px=0.1), xy + 5.0)["spread"]
+        > loss(exact_maps(xy, sd_px=0.3), xy + 5.0)["spread"]
+    )
     assert costs[0.85] < costs[3.0]
 
 
-def test_cell_loss_is_least_at_the_truth_and_silent_about_what_cannot_be_seen() -> None:
+def test_cell_loss_is_least_at_the_truth_and_zero_for_invisible_keypoints() -> None:
     xy = torch.tensor([[[20.3, 17.8]]])
     yes, no = torch.tensor([[True]]), torch.tensor([[False]])
-    maps = perfect(np.array([[20.3, 17.8]]))
+    maps = exact_maps(np.array([[20.3, 17.8]]))
     at_truth = cell_loss(maps, xy, yes, yes).item()
-    assert cell_loss(perfect(np.array([[28.3, 17.8]])), xy, yes, yes).item() > at_truth + 1
+    assert cell_loss(exact_maps(np.array([[28.3, 17.8]])), xy, yes, yes).item() > at_truth + 1
     # A choice: heat that is higher everywhere chooses the same.
     lifted = maps._replace(heat=maps.heat + 3.0)
     assert cell_loss(lifted, xy, yes, yes).item() == pytest.approx(at_truth, rel=1e-5)

@@ -1,4 +1,4 @@
-"""Pretraining on rendered actuators: what is taught, that it goes on after a stop, and what comes of it."""
+"""Pretraining on rendered actuators: its data, resuming after a stop, and its checkpoint."""
 
 from __future__ import annotations
 
@@ -26,34 +26,34 @@ from bendtrack.tracker.synthetic.stream import KEYPOINTS, draw
 TINY = PretrainingSettings(steps=4, pictures=2, pool=6, batch=4, patches=2, judged=2)
 
 
-def test_a_sample_is_a_frame_whose_hidden_points_are_known_to_be() -> None:
+def test_a_sample_is_a_frame_with_occluded_keypoints_marked() -> None:
     sample, frame = next(pair for pair in rendered_samples(3, range(200)) if not pair[0].visible.all())
-    np.testing.assert_array_equal(frame.in_sight, sample.visible)
+    np.testing.assert_array_equal(frame.visible, sample.visible)
     np.testing.assert_array_equal(frame.xy, sample.keypoints_xy)
-    assert not frame.in_sight.all()
+    assert not frame.visible.all()
 
 
-def test_a_project_sees_a_sample_with_its_own_points() -> None:
+def test_a_sample_has_the_projects_keypoints() -> None:
     ((sample, _),) = rendered_samples(3, range(1))
     (frame,) = rendered_frames(
         3, range(1), ("tip_2", "spot", "base_1"), {"tip_2": "tip_2", "base_1": "base_1"}
     )
     np.testing.assert_array_equal(frame.xy[[0, 2]], sample.keypoints_xy[[-1, 0]])
-    np.testing.assert_array_equal(frame.in_sight[[0, 2]], sample.visible[[-1, 0]])
+    np.testing.assert_array_equal(frame.visible[[0, 2]], sample.visible[[-1, 0]])
     assert np.isnan(frame.xy[1]).all()
     chain = ("root", "neck", "wrist", "nail")
     (frame,) = rendered_frames(3, range(1), chain, dict(zip(chain, ENDS, strict=True)))
     np.testing.assert_array_equal(frame.xy, sample.keypoints_xy[[0, 1, -2, -1]])
 
 
-def test_partners_are_neighbours() -> None:
+def test_reference_keypoints_are_neighbours() -> None:
     assert [KEYPOINTS[i] for i in REFERENCE] == [
         "base_2", "base_1", "mid_2", "mid_1", "mid_4", "mid_3", "mid_4", "tip_2", "tip_1",
     ]  # fmt: skip
 
 
 @pytest.mark.slow
-def test_both_networks_learn(tmp_path: Path) -> None:
+def test_both_networks_improve(tmp_path: Path) -> None:
     seen = []
     settings = PretrainingSettings(steps=120, pictures=6, batch=12, judged=24, average=0.9)
     first = pretrain(tmp_path / "first", replace(settings, steps=1)).training["judged"]
@@ -80,7 +80,7 @@ def test_stopped_and_resumed_is_the_same_to_the_bit(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("backbone", ["resnet18", "resnet50"])
-def test_what_comes_of_it_is_a_network_like_any_other(backbone: str, tmp_path: Path) -> None:
+def test_the_result_is_a_checkpoint_like_any_other(backbone: str, tmp_path: Path) -> None:
     pretrain(tmp_path, replace(TINY, backbone=backbone))
     checkpoint = load_checkpoint(tmp_path)
     assert checkpoint.keypoints == KEYPOINTS
@@ -92,14 +92,14 @@ def test_what_comes_of_it_is_a_network_like_any_other(backbone: str, tmp_path: P
     assert json.loads((tmp_path / "checkpoint.json").read_text())["training"]["settings"]["seed"] == 0
 
 
-def test_it_is_compiled_with_rendered_pictures(tmp_path: Path) -> None:
+def test_it_is_compiled_with_rendered_images(tmp_path: Path) -> None:
     pretrain(tmp_path, TINY)
     record = build_beside(tmp_path)
     assert (record["frames_fitted"], record["frames_judged"]) == (16, 16)
     assert set(record["engines"]) == {"openvino", "openvino-int8"}
 
 
-def test_only_what_was_begun_alike_goes_on(tmp_path: Path) -> None:
+def test_only_the_same_settings_are_resumed(tmp_path: Path) -> None:
     with pytest.raises(TrainingError, match="expected an unfinished pretraining"):
         pretrain(tmp_path, TINY, resume=True)
     pretrain(tmp_path, TINY, stop_after_s=0.0)
@@ -109,7 +109,7 @@ def test_only_what_was_begun_alike_goes_on(tmp_path: Path) -> None:
     assert longer.training["steps"] == 5
 
 
-def test_it_goes_on_from_a_network_of_ours(tmp_path: Path) -> None:
+def test_it_starts_from_a_network_of_ours(tmp_path: Path) -> None:
     first = pretrain(tmp_path / "first", TINY)
     settings = replace(TINY, init=str(tmp_path / "first"), seed=2)
     then = pretrain(tmp_path / "then", settings, stop_after_s=0.0)
@@ -130,7 +130,7 @@ def test_it_goes_on_from_a_network_of_ours(tmp_path: Path) -> None:
         pretrain(tmp_path / "other", settings)
 
 
-def test_a_gpu_gets_larger_batches_of_more_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_gpu_gets_larger_batches_and_a_larger_pool(monkeypatch: pytest.MonkeyPatch) -> None:
     assert usual_settings(seed=3) == PretrainingSettings(seed=3) or torch.cuda.is_available()
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(
@@ -148,13 +148,13 @@ def test_a_gpu_gets_larger_batches_of_more_pictures(monkeypatch: pytest.MonkeyPa
     "wrong",
     [{"steps": 0}, {"pictures": 0}, {"backbone": "resnet9"}, {"seed": -1}, {"batch": 8}, {"pool": 20}],
 )
-def test_settings_that_mean_nothing_are_refused(wrong: dict) -> None:
+def test_settings_out_of_range_are_refused(wrong: dict) -> None:
     with pytest.raises(TrainingError, match="expected"):
         PretrainingSettings(**wrong)
 
 
 @pytest.mark.slow
-def test_the_command_stops_and_goes_on(bendtrack, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_stops_and_resumes(bendtrack, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # To judge by as many pictures as usual takes longest.
     few = partial(usual_settings, judged=4)
     monkeypatch.setattr("bendtrack.models.pretraining.pretrainer.usual_settings", few)

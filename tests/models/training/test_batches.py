@@ -1,4 +1,4 @@
-"""Training pictures: the targets lie on the marks, and what is hidden or outside is said to be."""
+"""Training batches: targets lie on the marks; occluded keypoints and those outside are marked as absent."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def prepared(make_frames: MakeFrames) -> list[PreparedFrame]:
 @pytest.fixture
 def plain(monkeypatch: pytest.MonkeyPatch) -> None:
     """Geometry only: the colours stay, so that a disc can be found by its colour."""
-    monkeypatch.setattr(augment, "change_picture", lambda image, rng: image)
+    monkeypatch.setattr(augment, "change_image", lambda image, rng: image)
     monkeypatch.setattr(
         augment, "occlude", lambda image, rng, share=0.5: (image, np.zeros(image.shape[:2], np.uint8))
     )
@@ -93,7 +93,7 @@ def test_missing_labels_are_unknown_and_get_no_patch(prepared: list[PreparedFram
     assert len(refiner_batch(frames, [0], reference, rng, elsewhere=0).images) == 3
 
 
-def test_patches_of_elsewhere_are_along_the_body_or_anywhere(prepared: list[PreparedFrame]) -> None:
+def test_patches_elsewhere_are_along_the_body_or_anywhere(prepared: list[PreparedFrame]) -> None:
     reference = reference_keypoints(np.stack([frame.xy for frame in prepared]))
     frames, rng = dict(enumerate(prepared)), np.random.default_rng(0)
     batch = refiner_batch(frames, list(range(6)), reference, rng, most=1, elsewhere=30)
@@ -133,6 +133,6 @@ def test_changes_of_light_blur_and_noise_keep_a_mark_in_its_place(change: Callab
         np.testing.assert_allclose(centre, [30.4, 33.7], atol=0.5)
 
 
-def test_a_missing_picture_is_named(tmp_path: object) -> None:
-    with pytest.raises(LabelError, match=r"expected a picture at .*nowhere\.png"):
+def test_a_missing_image_is_named(tmp_path: object) -> None:
+    with pytest.raises(LabelError, match=r"expected an image at .*nowhere\.png"):
         read_image(LabelledFrame("v", tmp_path / "nowhere.png", np.zeros((4, 2)), "a"))

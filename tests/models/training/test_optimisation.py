@@ -1,4 +1,4 @@
-"""The two networks side by side: each takes the learning rate that is its own."""
+"""Two networks trained in parallel: each takes its share of the learning rate."""
 
 from __future__ import annotations
 
@@ -33,3 +33,10 @@ def test_the_locator_takes_its_share_of_the_learning_rate(share: float) -> None:
         for part in ("locator", "refiner")
     }
     assert moved == {"locator": share > 0, "refiner": True}
+
+
+def test_two_networks_share_torchs_threads_and_give_them_back() -> None:
+    torch.set_num_threads(4)
+    with TwoNetworkTrainer(Cascade("resnet18", 2), average=0.9, weight_decay=0.0):
+        assert torch.get_num_threads() == 2
+    assert torch.get_num_threads() == 4

@@ -1,4 +1,4 @@
-"""The schedule: rises, stays, falls; falls sooner when nothing is gained; ends in time."""
+"""The schedule: warm-up, plateau, decay; an early decay when the held-out error stalls; time limits."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from bendtrack.models.training.schedule import PATIENCE, Schedule
 
 
-def test_rises_stays_and_falls() -> None:
+def test_warms_up_stays_and_decays() -> None:
     schedule = Schedule(planned=300, decay_share=0.5)
     factors = [schedule.factor(step) for step in range(300)]
     assert factors[0] < 0.1
@@ -18,25 +18,25 @@ def test_rises_stays_and_falls() -> None:
     assert all(a >= b for a, b in pairwise(factors[150:]))
 
 
-def test_no_gain_makes_it_fall_early_and_end_early() -> None:
+def test_a_stalled_held_out_error_starts_the_decay_early() -> None:
     schedule = Schedule(planned=2000, decay_share=0.5)
-    assert schedule.judge(50, 3.0)
+    assert schedule.validate(50, 3.0)
     for i in range(PATIENCE):
-        assert not schedule.judge(100 + 50 * i, 2.99)
+        assert not schedule.validate(100 + 50 * i, 2.99)
     step = 100 + 50 * (PATIENCE - 1)
     assert schedule.decay_start == step
     assert schedule.total == 2 * step
     assert schedule.factor(step + 1) < 1.0
 
 
-def test_gains_keep_it_going() -> None:
+def test_an_improving_held_out_error_keeps_the_plan() -> None:
     schedule = Schedule(planned=2000, decay_share=0.5)
     for i in range(10):
-        assert schedule.judge(50 * (i + 1), 3.0 * 0.9**i)
+        assert schedule.validate(50 * (i + 1), 3.0 * 0.9**i)
     assert schedule.total == 2000
 
 
-def test_fits_a_time_limit_at_the_speed_seen() -> None:
+def test_fits_a_time_limit_at_the_measured_speed() -> None:
     schedule = Schedule(planned=1000, decay_share=0.5)
     schedule.fit(step=20, elapsed_s=20.0, limit_s=120.0)
     assert schedule.total == 120

@@ -1,4 +1,4 @@
-"""What a training takes by itself: how long and how fast it learns, from what it starts."""
+"""Default settings: initial weights, number of steps and learning rates."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from bendtrack.models.networks.shipped import actuator_file
 from bendtrack.models.training.settings import TrainingSettings
 
 
-def test_what_knows_actuators_is_the_start_where_it_comes_with_the_backbone() -> None:
+def test_auto_starts_from_the_shipped_network_where_there_is_one_with_the_backbone() -> None:
     assert actuator_file("resnet18").is_file()
     assert resolve_init("auto", "resnet18") == "actuator"
     assert not actuator_file("resnet34").is_file()
@@ -18,7 +18,7 @@ def test_what_knows_actuators_is_the_start_where_it_comes_with_the_backbone() ->
 
 
 @pytest.mark.parametrize(("frames", "steps"), [(5, 300), (30, 300), (58, 580), (1000, 3000)])
-def test_who_knows_actuators_learns_for_less_long(frames: int, steps: int) -> None:
+def test_the_shipped_network_is_trained_for_fewer_steps(frames: int, steps: int) -> None:
     settings = TrainingSettings()
     assert settings.steps_for(frames, "random") == steps
     assert settings.steps_for(frames, "imagenet") == steps
@@ -26,7 +26,7 @@ def test_who_knows_actuators_learns_for_less_long(frames: int, steps: int) -> No
     assert TrainingSettings(steps=7).steps_for(frames, "actuator") == 7
 
 
-def test_who_knows_actuators_learns_to_look_closely_faster_and_to_locate_more_slowly() -> None:
+def test_the_shipped_refiner_is_trained_faster_and_its_locator_more_slowly() -> None:
     settings = TrainingSettings()
     rates = {start: settings.learning_rate_from(start) for start in ("actuator", "imagenet", "random")}
     assert rates["actuator"] > rates["random"] == rates["imagenet"]

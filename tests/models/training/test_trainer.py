@@ -1,4 +1,4 @@
-"""Training on drawn fingers: it learns, it resumes to the bit after SIGKILL, it stops when it must."""
+"""Training on drawn fingers: accuracy, resuming to the bit after SIGKILL, time limits and refusals."""
 
 from __future__ import annotations
 
@@ -14,21 +14,23 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import torch
 from safetensors.torch import load_file
 
 from bendtrack.models.data.synthetic import rendered_frames
 from bendtrack.models.detector import NetworkDetector
 from bendtrack.models.evaluation import evaluate, not_trained_on
 from bendtrack.models.networks.checkpoint import load_checkpoint
-from bendtrack.models.training import lessons
+from bendtrack.models.training import batches
 from bendtrack.models.training import trainer as training
 from bendtrack.models.training.settings import TrainingSettings
 from bendtrack.models.training.split import split
 from bendtrack.models.training.trainer import Progress, train
+from bendtrack.models.training.training_data import load_training_data
 from bendtrack.tracker.angle import AngleDefinition
 from bendtrack.tracker.errors import LabelError, TrainingError
 from bendtrack.tracker.synthetic.stream import KEYPOINTS as canonical
-from bendtrack.tracker.synthetic.stream import TRAINING, Stage, drawn_look, inflation_deg
+from bendtrack.tracker.synthetic.stream import TRAINING, Renderer, drawn_look, inflation_deg
 from bendtrack.tracker.types import LabelledFrame
 
 KEYPOINTS = ("base_1", "base_2", "tip_1", "tip_2")
@@ -37,13 +39,13 @@ TINY = TrainingSettings(init="random", steps=6, batch_frames=2)
 
 
 @pytest.mark.slow
-def test_learns_where_the_points_are_and_says_how_sure_it_is(
+def test_detects_keypoints_with_calibrated_likelihoods_after_a_short_training(
     make_frames: MakeFrames, definition: AngleDefinition, tmp_path: Path
 ) -> None:
     frames = make_frames(np.linspace(0, 190, 16), noise_px=0.5)
-    told: list[Progress] = []
+    reported: list[Progress] = []
     settings = TrainingSettings(init="random", steps=120, batch_frames=6, held_out=0.15)
-    checkpoint = train(frames, KEYPOINTS, definition, tmp_path / "model", settings, progress=told.append)
+    checkpoint = train(frames, KEYPOINTS, definition, tmp_path / "model", settings, progress=reported.append)
 
     unseen = make_frames(np.linspace(6, 180, 12), start=100)
     result = evaluate(checkpoint, unseen)
@@ -53,12 +55,12 @@ def test_learns_where_the_points_are_and_says_how_sure_it_is(
     sd = np.sqrt(np.trace(result.found.covariance, axis1=2, axis2=3) / 2)
     assert 0.05 < np.median(sd) < 2.0
 
-    # A finger that is not there is not found.
+    # An image without a finger gives low likelihoods.
     blank = np.full((1, 120, 160, 3), 120, np.uint8)
     assert checkpoint.detect(blank).likelihood.max() < 0.5
 
-    assert [p.step for p in told] == list(range(1, 121))
-    assert told[-1].loss < told[0].loss / 4
+    assert [p.step for p in reported] == list(range(1, 121))
+    assert reported[-1].loss < reported[0].loss / 4
     rows = list(csv.DictReader((tmp_path / "model" / "training.csv").read_text().splitlines()))
     assert [int(row["step"]) for row in rows] == [50, 100, 120]
     assert not list((tmp_path / "model").glob("training-state*")), "a finished training leaves no state"
@@ -83,27 +85,34 @@ def test_the_same_seed_gives_the_same_network_and_another_seed_another(
     assert same == [True, False]
 
 
+def test_a_training_leaves_torchs_random_state_as_it_was(
+    make_frames: MakeFrames, definition: AngleDefinition, tmp_path: Path
+) -> None:
+    state = torch.get_rng_state()
+    train(make_frames(np.linspace(0, 180, 6)), KEYPOINTS, definition, tmp_path, replace(TINY, steps=1))
+    assert torch.equal(torch.get_rng_state(), state)
+
+
 KILLED = """
 import sys
 import numpy as np
 import torch
 from pathlib import Path
-from bendtrack.models.learning import training
 from bendtrack.models.training.settings import TrainingSettings
+from bendtrack.models.training.trainer import train
 from bendtrack.tracker.angle import AngleDefinition
 from bendtrack.tracker.types import LabelledFrame
 
 torch.set_num_threads(1)
-training.EVALUATE_EVERY = 4
 folder, keypoints = Path(sys.argv[1]), sys.argv[2].split(",")
 labels = np.load(folder / "labels.npy")
 frames = [
     LabelledFrame("finger", folder / f"img{i:05d}.png", xy, "default", i) for i, xy in enumerate(labels)
 ]
-training.train(
+train(
     frames, keypoints, AngleDefinition("two-vector", keypoints), folder / sys.argv[3],
     TrainingSettings(init="actuator", steps=20, batch_frames=2), resume="--resume" in sys.argv,
-    progress=lambda p: print(p.step, flush=True),
+    progress=lambda p: print(p.step, flush=True), evaluate_every=4,
 )
 """
 
@@ -137,40 +146,38 @@ def test_killed_and_resumed_equals_never_killed(make_frames: MakeFrames, tmp_pat
 
 
 @pytest.mark.slow
-def test_what_a_network_knew_of_other_actuators_it_keeps(
+def test_experience_replay_keeps_accuracy_on_other_actuators(
     make_frames: MakeFrames, definition: AngleDefinition, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     frames = make_frames(np.linspace(0, 180, 8))
     settings = TrainingSettings(init="actuator", steps=80, batch_frames=4)
     others = rendered_frames(1000, range(60), KEYPOINTS, {name: name for name in KEYPOINTS})
 
-    def px_off(at_once: int) -> float:
-        """How far the refiner is off on rendered actuators that neither training has seen, median."""
-        monkeypatch.setattr(lessons, "REHEARSED_AT_ONCE", at_once)
-        checkpoint = train(frames, KEYPOINTS, definition, tmp_path / str(at_once), settings)
-        finder = checkpoint.network.estimator()
-        found = [finder.refine(f.fine[None], f.xy[None], f.region, checkpoint.reference) for f in others]
-        off = np.stack([np.linalg.norm(p.xy[0] - f.xy, axis=1) for p, f in zip(found, others, strict=True)])
-        return float(np.median(off[np.stack([f.in_sight for f in others])]))
+    def error_px(per_batch: int) -> float:
+        """Median error of the refiner on rendered actuators of neither training."""
+        monkeypatch.setattr(batches, "REPLAY_PER_BATCH", per_batch)
+        checkpoint = train(frames, KEYPOINTS, definition, tmp_path / str(per_batch), settings)
+        finder = checkpoint.network.finder()
+        found = [finder.refined(f.fine[None], f.xy[None], f.region, checkpoint.reference) for f in others]
+        error = np.stack([np.linalg.norm(p.xy[0] - f.xy, axis=1) for p, f in zip(found, others, strict=True)])
+        return float(np.median(error[np.stack([f.visible for f in others])]))
 
-    assert px_off(2) < 0.7 * px_off(0)
+    assert error_px(2) < 0.7 * error_px(0)
 
 
 def test_resuming_with_other_labels_or_nothing_to_resume_is_refused(
-    make_frames: MakeFrames, definition: AngleDefinition, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    make_frames: MakeFrames, definition: AngleDefinition, tmp_path: Path
 ) -> None:
     frames = make_frames(np.linspace(0, 180, 6))
     with pytest.raises(TrainingError, match="expected an unfinished training"):
         train(frames, KEYPOINTS, definition, tmp_path / "model", TINY, resume=True)
-
-    monkeypatch.setattr(training, "EVALUATE_EVERY", 2)
 
     def interrupt(progress: Progress) -> None:
         if progress.step == 3:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train(frames, KEYPOINTS, definition, tmp_path / "model", TINY, progress=interrupt)
+        train(frames, KEYPOINTS, definition, tmp_path / "model", TINY, progress=interrupt, evaluate_every=2)
     moved = [replace(frames[0], xy=frames[0].xy + 1), *frames[1:]]
     with pytest.raises(TrainingError, match="settings and labels that the training was started with"):
         train(moved, KEYPOINTS, definition, tmp_path / "model", TINY, resume=True)
@@ -269,7 +276,7 @@ def test_a_setting_out_of_range_is_named(setting: str, value: object) -> None:
         TrainingSettings(**{setting: value})
 
 
-def test_missing_points_train_and_a_point_that_nobody_labelled_is_named(
+def test_frames_with_missing_labels_are_trained_on_and_a_keypoint_without_labels_is_refused(
     make_frames: MakeFrames, definition: AngleDefinition, tmp_path: Path
 ) -> None:
     frames = make_frames(np.linspace(0, 180, 6))
@@ -286,7 +293,7 @@ def test_missing_points_train_and_a_point_that_nobody_labelled_is_named(
         train([], KEYPOINTS, definition, tmp_path / "other", TINY)
 
 
-def test_missing_points_train_where_the_network_knew_them_before(
+def test_missing_labels_are_accepted_with_the_shipped_network_as_start(
     make_frames: MakeFrames, definition: AngleDefinition, tmp_path: Path
 ) -> None:
     frames = make_frames(np.linspace(0, 180, 8), noise_px=1.0)
@@ -299,16 +306,17 @@ def test_missing_points_train_where_the_network_knew_them_before(
         assert value.isfinite().all()
 
 
-@pytest.fixture
-def rendered(tmp_path: Path) -> tuple[list[LabelledFrame], np.ndarray]:
-    """Frames of a rendered actuator while it bends, labelled by an unsteady hand, and the truth (N, 4, 2) px."""
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[LabelledFrame], np.ndarray]:
+    """Frames of a bending rendered actuator with noisy labels (sd 1 px), and the truth (N, 4, 2) px."""
     look = drawn_look(21, 3, size_wh=(400, 300), families=TRAINING, bend_deg=(0.0, 150.0))
-    stage, rng, frames, truth = Stage(look), np.random.default_rng(0), [], []
+    folder = tmp_path_factory.mktemp("rendered")
+    renderer, rng, frames, truth = Renderer(look), np.random.default_rng(0), [], []
     for i, bend in enumerate(inflation_deg(look, 24)):
-        sample = stage.frame(bend)
+        sample = renderer.frame(bend)
         truth.append(sample.keypoints_xy[[canonical.index(name) for name in KEYPOINTS]])
-        path = tmp_path / f"img{i:05d}.png"
-        cv2.imwrite(str(path), sample.picture[..., ::-1])
+        path = folder / f"img{i:05d}.png"
+        cv2.imwrite(str(path), sample.image[..., ::-1])
         frames.append(LabelledFrame("film", path, truth[-1] + rng.normal(0, 1, (4, 2)), "default", i))
     return frames, np.stack(truth)
 
@@ -317,39 +325,39 @@ def trainer_from(
     start: str, frames: list[LabelledFrame], definition: AngleDefinition, folder: Path, **other: object
 ) -> training._Trainer:
     settings = TrainingSettings(init=start, held_out=0.0, **other)
-    return training._Trainer(frames, KEYPOINTS, definition, folder, settings, resume=False)
+    return training._Trainer(load_training_data(frames, KEYPOINTS, settings), definition, folder, settings)
 
 
 def tip_sd_deg(xy: np.ndarray, truth: np.ndarray) -> float:
-    """How the tip's direction scatters about the truth."""
+    """Standard deviation of the tip's direction about the truth, degrees."""
     vectors = [points[:, 3] - points[:, 2] for points in (xy, truth)]
     angles = [np.unwrap(np.arctan2(v[:, 1], v[:, 0])) for v in vectors]
     return float(np.degrees(angles[0] - angles[1]).std())
 
 
-def test_a_network_that_knows_actuators_learns_from_positions_nearer_to_the_truth_than_labels(
+def test_initial_targets_of_the_shipped_network_are_nearer_to_the_truth_than_labels(
     rendered: tuple[list[LabelledFrame], np.ndarray], definition: AngleDefinition, tmp_path: Path
 ) -> None:
     frames, truth = rendered[0][::2], rendered[1][::2]
-    knows = trainer_from("actuator", frames, definition, tmp_path / "model")
-    positions = knows.evidence.known_before(knows.pair.average.estimator(), np.ones(4, bool))
+    trainer = trainer_from("actuator", frames, definition, tmp_path / "model")
+    positions = trainer.denoiser.initial_targets(trainer.networks.average.finder(), np.ones(4, bool))
     labels = np.stack([frame.xy for frame in frames])
     assert tip_sd_deg(labels, truth) > 1.5
     assert tip_sd_deg(positions, truth) < 0.4 * tip_sd_deg(labels, truth)
-    assert trainer_from("random", frames, definition, tmp_path / "model").evidence.features is None
+    assert trainer_from("random", frames, definition, tmp_path / "model").denoiser.features is None
 
 
-def test_a_network_that_knows_actuators_learns_how_tips_lie_from_closer_pictures(
+def test_the_end_regressor_of_a_training_lowers_the_tips_scatter(
     rendered: tuple[list[LabelledFrame], np.ndarray], definition: AngleDefinition, tmp_path: Path
 ) -> None:
     frames, truth = rendered
-    pictures = np.stack([cv2.imread(str(frame.image_path))[..., ::-1] for frame in frames])
-    # Labelled in every second frame, judged in the others, before it has taken a step.
-    knows = trainer_from("actuator", frames[::2], definition, tmp_path / "model").finish()
-    assert knows.network.aligner.pairs == ((2, 3),)
-    with_it = tip_sd_deg(knows.detect(pictures[1::2]).xy, truth[1::2])
-    knows.network.aligner = None
-    assert with_it < 0.7 * tip_sd_deg(knows.detect(pictures[1::2]).xy, truth[1::2])
+    images = np.stack([cv2.imread(str(frame.image_path))[..., ::-1] for frame in frames])
+    # Labelled in every second frame, evaluated in the others, before the first step.
+    trained = trainer_from("actuator", frames[::2], definition, tmp_path / "model").finish()
+    assert trained.network.aligner.pairs == ((2, 3),)
+    with_it = tip_sd_deg(trained.detect(images[1::2]).xy, truth[1::2])
+    trained.network.aligner = None
+    assert with_it < 0.7 * tip_sd_deg(trained.detect(images[1::2]).xy, truth[1::2])
     half = trainer_from("actuator", frames[::2], definition, tmp_path / "model", consensus=0.5).finish()
     assert half.network.aligner.pairs == ((2, 3),)
     for settings in ({"start": "random"}, {"start": "actuator", "consensus": 0.0}):
@@ -360,15 +368,15 @@ def test_a_network_that_knows_actuators_learns_how_tips_lie_from_closer_pictures
 
 def test_every_actuator_is_held_out_in_its_share() -> None:
     frames = [LabelledFrame(a, Path("x"), np.zeros((4, 2)), a) for a in ["p"] * 30 + ["q"] * 10 + ["r"] * 3]
-    trained, held = split(frames, 0.1, seed=0)
-    assert sorted(trained + held) == list(range(43))
-    assert [sum(frames[i].actuator == a for i in held) for a in "pqr"] == [3, 1, 0]
+    trained, held_out = split(frames, 0.1, seed=0)
+    assert sorted(trained + held_out) == list(range(43))
+    assert [sum(frames[i].actuator == a for i in held_out) for a in "pqr"] == [3, 1, 0]
 
     # The only frame that has a keypoint is trained on.
     for frame in frames:
-        if frame is not frames[held[1]]:
+        if frame is not frames[held_out[1]]:
             frame.xy[2] = np.nan
-    assert held[1] in split(frames, 0.1, seed=0)[0]
+    assert held_out[1] in split(frames, 0.1, seed=0)[0]
 
 
 def test_a_full_disk_loses_nothing_that_was_saved(make_frames: MakeFrames, tmp_path: Path) -> None:

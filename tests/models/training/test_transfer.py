@@ -1,4 +1,4 @@
-"""Starting from another network: what it knows of a keypoint is known from the first step."""
+"""Transfer from a source network: which keypoints match, and that their weights are taken over."""
 
 from __future__ import annotations
 
@@ -49,18 +49,18 @@ def source(request: pytest.FixtureRequest) -> Checkpoint:
         (("a", "b", "c"), {}),
     ],
 )
-def test_both_networks_see_what_the_parents_see(
+def test_mapped_keypoints_have_the_same_maps_as_in_the_source(
     keypoints: tuple[str, ...], mapping: dict[str, str], source: Checkpoint
 ) -> None:
     network = Cascade("resnet18", len(keypoints)).eval()
     assert keypoint_mapping(keypoints, KNOWN) == mapping
     transfer_weights(network, keypoints, source, mapping)
-    picture = torch.randint(
+    image = torch.randint(
         0, 255, (1, 3, 64, 64), dtype=torch.uint8, generator=torch.Generator().manual_seed(1)
     )
     for part in ("locator", "refiner"):
         with torch.inference_mode():
-            ours, theirs = (getattr(n, part)(picture) for n in (network, source.network))
+            ours, theirs = (getattr(n, part)(image) for n in (network, source.network))
         assert float(theirs.heat.std()) > 0
         for own, other in zip(ours, theirs, strict=True):
             for name, known in mapping.items():
@@ -71,18 +71,18 @@ def test_both_networks_see_what_the_parents_see(
 def test_a_training_starts_from_a_trained_network(
     make_frames, definition: AngleDefinition, source: Checkpoint, tmp_path: Path
 ) -> None:
-    file = source.save(tmp_path / "parent")
+    file = source.save(tmp_path / "source")
     # A step that changes nothing shows what was there before it.
     settings = TrainingSettings(init=str(file), steps=1, batch_frames=1, learning_rate=0.0)
-    child = train(
-        make_frames(np.array([0.0, 30.0])), definition.points, definition, tmp_path / "child", settings
+    trained = train(
+        make_frames(np.array([0.0, 30.0])), definition.points, definition, tmp_path / "trained", settings
     )
-    assert child.training["started_from"] == str(file)
-    assert torch.equal(child.network.refiner.conv1.weight, source.network.refiner.conv1.weight)
+    assert trained.training["started_from"] == str(file)
+    assert torch.equal(trained.network.refiner.conv1.weight, source.network.refiner.conv1.weight)
     assert not torch.equal(source.network.refiner.conv1.weight, source.network.locator.conv1.weight)
 
 
-def test_what_is_no_network_of_ours_is_no_parent(
+def test_only_a_checkpoint_of_ours_with_the_same_backbone_is_a_source(
     source: Checkpoint, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = source.save(tmp_path)
