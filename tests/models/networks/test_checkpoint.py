@@ -1,4 +1,4 @@
-"""Checkpoints: what was saved comes back, and what is no checkpoint is said to be none."""
+"""Checkpoints: a round trip changes nothing, older files are read, other files are a CheckpointError."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ def checkpoint() -> Checkpoint:
         reference=(1, 0, 3, 2, 0),
         calibration=Calibration(1.5, 0.9, 27, (0.8, 0.9, 0.7, 0.6, 1.0)),
         systematic_bias=tuple(((x, 0.5), (0.1, 0.2), (0.0, x)) for x in (0.5, -0.25, 0.0, 0.3, 1.0)),
-        lengths=((20.0, 24.5), (20.0, 24.5), (0.0, np.inf), (31.0, 40.0), (31.0, 40.0)),
+        distance_range=((20.0, 24.5), (20.0, 24.5), (0.0, np.inf), (31.0, 40.0), (31.0, 40.0)),
         training={"trained_on": ["v/img00001.png"], "started_from": "random"},
     )
 
 
-def test_comes_back_as_it_was(checkpoint: Checkpoint, tmp_path: Path) -> None:
+def test_round_trip(checkpoint: Checkpoint, tmp_path: Path) -> None:
     checkpoint.save(tmp_path / "model")
     again = load_checkpoint(tmp_path / "model")
     assert (
@@ -62,21 +62,21 @@ def test_comes_back_as_it_was(checkpoint: Checkpoint, tmp_path: Path) -> None:
     assert again.region_for((640, 480)).width == 640
 
 
-def with_aligner(checkpoint: Checkpoint) -> Checkpoint:
-    """A network whose second pair of keypoints is an end that is put somewhere else wherever it is seen."""
+def with_end_regressor(checkpoint: Checkpoint) -> Checkpoint:
+    """The same with an end regressor that moves the second pair of keypoints."""
     torch.manual_seed(1)
-    aligner = EndRegressionNetwork(1)
-    aligner.ends[0] = torch.tensor([2, 3])
-    torch.nn.init.normal_(aligner.slope, std=1e-4)
-    aligner.rest[:] = torch.tensor([2.0, -3.0, 0.1])
-    checkpoint.network.aligner = aligner.eval()
+    regressor = EndRegressionNetwork(1)
+    regressor.ends[0] = torch.tensor([2, 3])
+    torch.nn.init.normal_(regressor.slope, std=1e-4)
+    regressor.rest[:] = torch.tensor([2.0, -3.0, 0.1])
+    checkpoint.network.aligner = regressor.eval()
     return checkpoint
 
 
-def test_how_ends_lie_comes_back_too(checkpoint: Checkpoint, tmp_path: Path) -> None:
+def test_round_trip_of_an_end_regressor(checkpoint: Checkpoint, tmp_path: Path) -> None:
     frames = np.random.default_rng(0).integers(0, 255, (2, 120, 160, 3), dtype=np.uint8)
     without = checkpoint.detect(frames)
-    before = with_aligner(checkpoint).detect(frames)
+    before = with_end_regressor(checkpoint).detect(frames)
     checkpoint.save(tmp_path / "model")
     after = load_checkpoint(tmp_path / "model").detect(frames)
     np.testing.assert_array_equal(before.xy, after.xy)
@@ -84,19 +84,21 @@ def test_how_ends_lie_comes_back_too(checkpoint: Checkpoint, tmp_path: Path) -> 
     np.testing.assert_array_equal(after.xy[:, [0, 1, 4]], without.xy[:, [0, 1, 4]])
 
 
-def test_networks_of_the_format_before_are_still_read(checkpoint: Checkpoint, tmp_path: Path) -> None:
-    header = checkpoint.to_dict() | {"format": OLDEST_FORMAT}
-    write_tensors(tmp_path / WEIGHTS_FILE, checkpoint.network.state_dict(), header)
+def test_the_oldest_format_is_read(checkpoint: Checkpoint, tmp_path: Path) -> None:
+    metadata = checkpoint.to_dict() | {"format": OLDEST_FORMAT}
+    write_tensors(tmp_path / WEIGHTS_FILE, checkpoint.network.state_dict(), metadata)
     frames = np.random.default_rng(0).integers(0, 255, (1, 120, 160, 3), dtype=np.uint8)
     np.testing.assert_array_equal(load_checkpoint(tmp_path).detect(frames).xy, checkpoint.detect(frames).xy)
 
 
-def test_others_may_read_it_as_any_file(checkpoint: Checkpoint, tmp_path: Path) -> None:
+def test_the_weights_file_has_the_usual_permissions(checkpoint: Checkpoint, tmp_path: Path) -> None:
     file = checkpoint.save(tmp_path)
     assert file.stat().st_mode == (tmp_path / "checkpoint.json").stat().st_mode
 
 
-def test_in_float16_it_is_half_as_large_and_nearly_the_same(checkpoint: Checkpoint, tmp_path: Path) -> None:
+def test_float16_halves_the_file_and_hardly_changes_the_weights(
+    checkpoint: Checkpoint, tmp_path: Path
+) -> None:
     whole, half = checkpoint.save(tmp_path / "whole"), checkpoint.save(tmp_path / "half", half=True)
     assert half.stat().st_size < 0.51 * whole.stat().st_size
     again = load_checkpoint(half)
@@ -106,7 +108,7 @@ def test_in_float16_it_is_half_as_large_and_nearly_the_same(checkpoint: Checkpoi
 
 
 @pytest.mark.parametrize("stages", [(3, 2), (4, 2)])
-def test_networks_with_fewer_stages_are_still_read(
+def test_networks_with_fewer_residual_stages_are_read(
     stages: tuple[int, int], checkpoint: Checkpoint, tmp_path: Path
 ) -> None:
     early = replace(checkpoint, network=Cascade("resnet18", 5, *stages).eval())
@@ -115,22 +117,18 @@ def test_networks_with_fewer_stages_are_still_read(
     np.testing.assert_array_equal(load_checkpoint(tmp_path).detect(frames).xy, early.detect(frames).xy)
 
 
-def test_an_offset_that_was_saved_as_the_same_in_all_attitudes_is_still_read(
-    checkpoint: Checkpoint, tmp_path: Path
-) -> None:
+def test_a_constant_systematic_bias_of_an_older_file_is_read(checkpoint: Checkpoint, tmp_path: Path) -> None:
     early = replace(checkpoint, systematic_bias=tuple((of[0],) for of in checkpoint.systematic_bias))
-    header = early.to_dict()
-    header["label_offset_patch_px"] = [of[0] for of in header["label_offset_patch_px"]]
-    write_tensors(tmp_path / WEIGHTS_FILE, checkpoint.network.state_dict(), header)
+    metadata = early.to_dict()
+    metadata["label_offset_patch_px"] = [of[0] for of in metadata["label_offset_patch_px"]]
+    write_tensors(tmp_path / WEIGHTS_FILE, checkpoint.network.state_dict(), metadata)
     again = load_checkpoint(tmp_path)
     assert again.to_dict() == early.to_dict()
     frames = np.random.default_rng(0).integers(0, 255, (1, 120, 160, 3), dtype=np.uint8)
     np.testing.assert_array_equal(again.detect(frames).xy, early.detect(frames).xy)
 
 
-def test_moving_to_another_folder_changes_nothing_and_the_hash_tells_networks_apart(
-    checkpoint: Checkpoint, tmp_path: Path
-) -> None:
+def test_the_hash_identifies_a_network_in_any_folder(checkpoint: Checkpoint, tmp_path: Path) -> None:
     checkpoint.save(tmp_path / "a")
     (tmp_path / "a").rename(tmp_path / "b")
     first = NetworkDetector.load(tmp_path / "b").provenance
@@ -141,7 +139,9 @@ def test_moving_to_another_folder_changes_nothing_and_the_hash_tells_networks_ap
     assert first["checkpoint_sha256"] != second["checkpoint_sha256"]
 
 
-def test_it_is_safetensors_with_its_header_and_no_pickle(checkpoint: Checkpoint, tmp_path: Path) -> None:
+def test_a_checkpoint_is_safetensors_with_metadata_and_no_pickle(
+    checkpoint: Checkpoint, tmp_path: Path
+) -> None:
     path = checkpoint.save(tmp_path)
     with safe_open(path, "pt") as file:
         assert json.loads(file.metadata()["bendtrack"])["keypoints"] == list(KEYPOINTS)
@@ -167,11 +167,11 @@ def test_it_is_safetensors_with_its_header_and_no_pickle(checkpoint: Checkpoint,
         ("other weights", "got a damaged file"),
     ],
 )
-def test_what_is_no_checkpoint_is_said(
+def test_a_file_that_is_no_checkpoint_is_a_checkpoint_error(
     damage: str, message: str, checkpoint: Checkpoint, tmp_path: Path
 ) -> None:
     path = checkpoint.save(tmp_path)
-    header, tensors = checkpoint.to_dict(), load_file(path)
+    metadata, tensors = checkpoint.to_dict(), load_file(path)
     if damage == "missing":
         path.unlink()
     elif damage == "text":
@@ -182,10 +182,10 @@ def test_what_is_no_checkpoint_is_said(
         save_file({"a": torch.zeros(2)}, path)
     elif damage in ("newer", "older"):
         other = FORMAT + 1 if damage == "newer" else OLDEST_FORMAT - 1
-        save_file(tensors, path, {"bendtrack": json.dumps(header | {"format": other})})
+        save_file(tensors, path, {"bendtrack": json.dumps(metadata | {"format": other})})
     elif damage == "backbone":
-        save_file(tensors, path, {"bendtrack": json.dumps(header | {"backbone": "resnet9000"})})
+        save_file(tensors, path, {"bendtrack": json.dumps(metadata | {"backbone": "resnet9000"})})
     elif damage == "other weights":
-        save_file({"a": torch.zeros(2)}, path, {"bendtrack": json.dumps(header)})
+        save_file({"a": torch.zeros(2)}, path, {"bendtrack": json.dumps(metadata)})
     with pytest.raises(CheckpointError, match=message):
         load_checkpoint(tmp_path)
