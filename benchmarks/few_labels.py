@@ -151,7 +151,7 @@ def judged(
 def judged_unlabelled(film: Film, network: Path) -> Result:
     """Find the actuator in a film, track it and compare with its truth."""
     try:
-        detector = load_network(network, learns=True).for_video(spread_frames(film.path, PROBE_FRAMES))
+        detector = load_network(network, self_training=True).for_video(spread_frames(film.path, PROBE_FRAMES))
     except VideoError as error:
         print(f"    {error}")
         return NOTHING

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +13,7 @@ import pytest
 import torch
 
 from bendtrack.models.detector import NetworkDetector
-from bendtrack.models.export import MAX_DRIFT_PX, build
+from bendtrack.models.export import MAX_DRIFT_PX, MIN_FRAMES, build
 from bendtrack.models.inference.calibration import Calibration
 from bendtrack.models.inference.roi import RegionOfInterest
 from bendtrack.models.inference.runtime import RECORD, engine_folder, engine_record
@@ -170,9 +171,32 @@ def test_low_latency_mode_finds_the_same(untrained: Path) -> None:
     np.testing.assert_allclose(one.likelihood, other.likelihood, atol=1e-4)
 
 
-def test_building_engines_leaves_the_checkpoint_unchanged(untrained: Path) -> None:
-    before = load_checkpoint(untrained)
+@pytest.fixture(scope="module")
+def few_frames(untrained: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Checkpoint]:
+    """The same network with engines built from too few labelled frames: its folder, and the checkpoint built from."""
+    folder = tmp_path_factory.mktemp("few_frames")
+    file = Path(shutil.copy(untrained / "weights.safetensors", folder))
+    checkpoint = load_checkpoint(file)
+    build(checkpoint, file, file_sha256(file), frames(MIN_FRAMES - 1))
+    return folder, checkpoint
+
+
+def test_building_engines_leaves_the_checkpoint_unchanged(
+    untrained: Path, few_frames: tuple[Path, Checkpoint]
+) -> None:
     image = frames(1, seed=3)[0][None]
-    found = before.detect(image).xy
-    build(before, untrained / "weights.safetensors", file_sha256(untrained / "weights.safetensors"), [])
-    np.testing.assert_array_equal(before.detect(image).xy, found)
+    before, after = load_checkpoint(untrained), few_frames[1]
+    np.testing.assert_array_equal(before.detect(image).xy, after.detect(image).xy)
+
+
+def test_the_record_says_why_int8_was_not_built(few_frames: tuple[Path, Checkpoint]) -> None:
+    folder, _ = few_frames
+    file = folder / "weights.safetensors"
+    record = engine_record(file, file_sha256(file))
+    assert list(record.engines) == ["openvino"]
+    assert record.frames_fitted == 0
+    why = "expected at least 4 of the labelled frames that it was trained on, got 3"
+    assert record.skipped == {"openvino-int8": why}
+    with pytest.raises(CheckpointError, match=f"expected a compiled network, got none: {why}"):
+        detector_of(folder, "openvino-int8")
+    assert detector_of(folder, "auto").engine == "openvino"

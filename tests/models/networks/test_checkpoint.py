@@ -14,7 +14,7 @@ from safetensors.torch import load_file, save_file
 
 from bendtrack.models.detector import NetworkDetector
 from bendtrack.models.inference.calibration import Calibration
-from bendtrack.models.inference.metadata import FORMAT, OLDEST_FORMAT, WEIGHTS_FILE
+from bendtrack.models.inference.metadata import FORMAT, OLDEST_FORMAT, PRETRAINED_CANDIDATES, WEIGHTS_FILE
 from bendtrack.models.inference.roi import RegionOfInterest
 from bendtrack.models.networks.cascade import Cascade
 from bendtrack.models.networks.checkpoint import Checkpoint, load_checkpoint
@@ -188,4 +188,35 @@ def test_a_file_that_is_no_checkpoint_is_a_checkpoint_error(
     elif damage == "other weights":
         save_file({"a": torch.zeros(2)}, path, {"bendtrack": json.dumps(metadata)})
     with pytest.raises(CheckpointError, match=message):
+        load_checkpoint(tmp_path)
+
+
+@pytest.mark.parametrize("kind", ["project", "pretrained"])
+def test_round_trip_of_the_kind(kind: str, checkpoint: Checkpoint, tmp_path: Path) -> None:
+    file = replace(checkpoint, kind=kind).save(tmp_path)
+    with safe_open(file, "pt") as opened:
+        assert json.loads(opened.metadata()["bendtrack"])["kind"] == kind
+    again = load_checkpoint(file)
+    assert again.kind == kind
+    assert again.pretrained == (kind == "pretrained")
+    assert again.candidates == (PRETRAINED_CANDIDATES if again.pretrained else 1)
+
+
+@pytest.mark.parametrize(
+    ("training", "kind"),
+    [({"pictures": 3000}, "pretrained"), ({"trained_on": []}, "project"), ({}, "project")],
+)
+def test_the_kind_of_an_older_file_follows_from_its_training(
+    training: dict[str, object], kind: str, checkpoint: Checkpoint, tmp_path: Path
+) -> None:
+    metadata = checkpoint.to_dict() | {"training": training}
+    del metadata["kind"]
+    write_tensors(tmp_path / WEIGHTS_FILE, checkpoint.network.state_dict(), metadata)
+    assert load_checkpoint(tmp_path).kind == kind
+
+
+def test_a_foreign_kind_is_a_checkpoint_error(checkpoint: Checkpoint, tmp_path: Path) -> None:
+    metadata = checkpoint.to_dict() | {"kind": "borrowed"}
+    write_tensors(tmp_path / WEIGHTS_FILE, checkpoint.network.state_dict(), metadata)
+    with pytest.raises(CheckpointError, match="expected project or pretrained, got 'borrowed'"):
         load_checkpoint(tmp_path)

@@ -22,6 +22,7 @@ def test_the_shipped_network_finds_canonical_points(backbone: str) -> None:
     checkpoint = load_checkpoint(shipped_network(backbone))
     assert checkpoint.keypoints == KEYPOINTS
     assert checkpoint.backbone == backbone
+    assert checkpoint.kind == "pretrained"
     # In images that it was not trained on: those had the seeds 10 and 12.
     pairs = [pair for pair in rendered_samples(1001, range(12)) if pair[0].visible.all()]
     off = []

@@ -18,8 +18,9 @@ from safetensors.torch import load_file
 from bendtrack.models.data.synthetic import rendered_frames
 from bendtrack.models.detector import NetworkDetector
 from bendtrack.models.evaluation import evaluate, not_trained_on
+from bendtrack.models.inference.crops import CropGeometry
 from bendtrack.models.networks.checkpoint import load_checkpoint
-from bendtrack.models.training import lessons
+from bendtrack.models.training import batches
 from bendtrack.models.training import trainer as training
 from bendtrack.models.training.settings import TrainingSettings
 from bendtrack.models.training.split import split
@@ -87,7 +88,7 @@ import sys
 import numpy as np
 import torch
 from pathlib import Path
-from bendtrack.models.learning import training
+from bendtrack.models.training import trainer as training
 from bendtrack.models.training.settings import TrainingSettings
 from bendtrack.tracker.angle import AngleDefinition
 from bendtrack.tracker.types import LabelledFrame
@@ -145,10 +146,13 @@ def test_what_a_network_knew_of_other_actuators_it_keeps(
 
     def px_off(at_once: int) -> float:
         """How far the refiner is off on rendered actuators that neither training has seen, median."""
-        monkeypatch.setattr(lessons, "REHEARSED_AT_ONCE", at_once)
+        monkeypatch.setattr(batches, "REPLAY_PER_BATCH", at_once)
         checkpoint = train(frames, KEYPOINTS, definition, tmp_path / str(at_once), settings)
-        finder = checkpoint.network.estimator()
-        found = [finder.refine(f.fine[None], f.xy[None], f.region, checkpoint.reference) for f in others]
+        estimator = checkpoint.network.estimator()
+        found = [
+            estimator.refine(f.fine[None], f.xy[None], CropGeometry(f.region, checkpoint.reference))
+            for f in others
+        ]
         off = np.stack([np.linalg.norm(p.xy[0] - f.xy, axis=1) for p, f in zip(found, others, strict=True)])
         return float(np.median(off[np.stack([f.in_sight for f in others])]))
 
