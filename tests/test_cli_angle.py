@@ -42,21 +42,21 @@ def test_what_comes_with_bendtrack_sees_no_actuator_in_grey(
     assert "grey.mp4: expected an actuator" in ran.err
 
 
-def test_it_learns_unless_it_is_to_be_quick(
+def test_self_training_runs_unless_quick(
     bendtrack, write_arm_video, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    learns: list[bool] = []
+    self_trains: list[bool] = []
 
-    def for_video(detector, glimpses, progress):
-        learns.append(detector.learns)
+    def for_video(detector, probe_frames, progress):
+        self_trains.append(detector.stages.self_training)
         raise VideoError("expected nothing more")
 
     monkeypatch.setattr(NetworkDetector, "for_video", for_video)
     asked = "angle", write_arm_video(tmp_path / "a.mp4"), "--engine", "torch", "--out", tmp_path / "out"
     for options in ((), ("--quick",)):
         assert bendtrack(*asked, *options).status == 1
-    assert learns == [True, False]
+    assert self_trains == [True, False]
 
 
 @pytest.mark.slow

@@ -1,4 +1,7 @@
-"""The star: tracker knows nobody, models and labeling know tracker; front door and command line know all, but late."""
+"""The star: tracker knows nobody, models and labeling know tracker; front door and command line know all, but late.
+
+Within models each floor knows the lower ones only.
+"""
 
 from __future__ import annotations
 
@@ -23,6 +26,17 @@ PACKAGES = {
 ALLOWED = {"tracker": {"tracker"}, "models": {"models", "tracker"}, "labeling": {"labeling", "tracker"}}
 FRONT_DOOR = {path.stem: path for path in sorted(Path(bendtrack.__path__[0]).glob("*.py"))}
 HEAVY = {"torch", "torchvision", "safetensors"}
+FLOORS = (
+    "inference",
+    "localization",
+    "networks",
+    "data",
+    "denoising",
+    "training",
+    "pretraining",
+    "adaptation",
+)
+"""The folders of models, from the lowest floor up; modules directly in models are above them all."""
 
 
 def modules() -> list[tuple[str, Path]]:
@@ -72,6 +86,12 @@ def ours(imported: str) -> str | None:
     return parts[1] if parts[0] == "bendtrack" and len(parts) > 1 else None
 
 
+def floor(module: str) -> int:
+    """The floor of a module of models, given as "models.inference.roi"."""
+    folder = module.split(".")[1:2]
+    return FLOORS.index(folder[0]) if folder and folder[0] in FLOORS else len(FLOORS)
+
+
 @pytest.mark.parametrize(
     ("name", "path"), modules(), ids=lambda value: value if isinstance(value, str) else ""
 )
@@ -92,13 +112,28 @@ def test_imports_follow_the_star(name: str, path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "path"),
-    [m for m in modules() if m[0].startswith("models.inference")],
-    ids=lambda value: str(value),
+    [m for m in modules() if m[0].startswith("models")],
+    ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_finding_knows_no_network(name: str, path: Path) -> None:
+def test_models_import_their_own_floor_and_lower_ones(name: str, path: Path) -> None:
     for imported in imports(name, path):
-        assert ours(imported) != "models" or imported.startswith("bendtrack.models.inference"), imported
+        if ours(imported) == "models":
+            assert floor(imported.removeprefix("bendtrack.")) <= floor(name), imported
+
+
+@pytest.mark.parametrize(
+    ("name", "path"),
+    [m for m in modules() if m[0].startswith(("models.inference", "models.localization"))],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_inference_and_localization_import_no_torch(name: str, path: Path) -> None:
+    for imported in imports(name, path):
         assert imported.split(".")[0] not in {"torch", "torchvision"}, imported
+
+
+def test_every_folder_of_models_has_a_floor() -> None:
+    folders = {name.split(".")[1] for name, path in modules() if path.parent.parent == PACKAGES["models"]}
+    assert folders == set(FLOORS)
 
 
 @pytest.mark.parametrize(

@@ -304,7 +304,11 @@ class BatchSampler:
             if number == 0:
                 some = chosen[: math.ceil(LOCATOR_SHARE * self.batch_frames)]
                 locate = locator_batch(frames, some + replayed, self.crop_wh, rng)
-            refine.append(refiner_batch(frames, chosen + replayed, self.reference, rng, max_keypoints=self.max_keypoints))
+            refine.append(
+                refiner_batch(
+                    frames, chosen + replayed, self.reference, rng, max_keypoints=self.max_keypoints
+                )
+            )
             if self.negatives:
                 some = rng.choice(len(self.negatives), NEGATIVES_PER_BATCH).tolist()
                 negatives = dict(enumerate(self.negatives))

@@ -1,4 +1,4 @@
-"""Finder and Follower with networks whose answer is known: where they look, what they believe, when they search."""
+"""Coarse-to-fine estimator and keypoint tracker with predictors whose output is known."""
 
 from __future__ import annotations
 
@@ -8,11 +8,17 @@ import numpy as np
 import pytest
 
 from bendtrack.models.inference.calibration import Calibration
-from bendtrack.models.inference.coarse_to_fine import CoarseToFineEstimator, average_predictions
+from bendtrack.models.inference.coarse_to_fine import (
+    CoarseToFineEstimator,
+    Estimate,
+    average_predictions,
+    predicted_at,
+)
 from bendtrack.models.inference.crops import CropGeometry
 from bendtrack.models.inference.metadata import CheckpointMetadata
 from bendtrack.models.inference.roi import RegionOfInterest, reference_distances
-from bendtrack.models.inference.tracking import CHECK_EVERY, KeypointTracker
+from bendtrack.models.inference.stages import StageSettings
+from bendtrack.models.inference.tracking import CHECK_EVERY, FRAMES_AHEAD, REST_PREDICTIONS, KeypointTracker
 from bendtrack.tracker.angle import AngleDefinition
 from bendtrack.tracker.types import Detections
 
@@ -33,8 +39,8 @@ def frame_of(xy: np.ndarray) -> np.ndarray:
     return np.clip(image.round(), 0, 255).astype(np.uint8)
 
 
-class FindsSpots:
-    """A reader that gives the centre of gravity of each colour, and counts the images it was shown."""
+class SpotPredictor:
+    """Predicts the centre of gravity of each colour, and counts the images that it was given."""
 
     covariance = np.diag([4.0, 1.0])
 
@@ -58,7 +64,7 @@ class FindsSpots:
 
 @pytest.fixture
 def estimator() -> CoarseToFineEstimator:
-    return CoarseToFineEstimator(FindsSpots(), FindsSpots())
+    return CoarseToFineEstimator(SpotPredictor(), SpotPredictor())
 
 
 @pytest.fixture
@@ -75,14 +81,14 @@ def metadata() -> CheckpointMetadata:
 
 
 def arms(angles_deg: np.ndarray) -> np.ndarray:
-    """Positions (T, 3, 2) of a base that rests and an arm that turns about it."""
+    """Positions (T, 3, 2) px of a fixed base and an arm that turns about it."""
     turn = np.deg2rad(angles_deg)
     along = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     base = np.broadcast_to([150.0, 110.0], (len(turn), 2))
     return np.stack([base, base + 50 * along, base + 95 * along], axis=1)
 
 
-def test_positions_come_back_through_every_view(
+def test_positions_are_mapped_back_to_the_frame(
     estimator: CoarseToFineEstimator, metadata: CheckpointMetadata
 ) -> None:
     truth = arms(np.linspace(0, 330, 12))
@@ -90,18 +96,18 @@ def test_positions_come_back_through_every_view(
     np.testing.assert_allclose(found.xy, truth, atol=0.1)
 
 
-def test_covariances_turn_and_shrink_with_the_patch(
+def test_covariances_are_mapped_back_to_the_frame(
     estimator: CoarseToFineEstimator, metadata: CheckpointMetadata
 ) -> None:
-    # The tip's patch is turned by 90 degrees here and magnified 1.5 times: its x is the frame's y.
+    # The tip's crop is turned by 90 degrees here and magnified 1.5 times: its x is the frame's y.
     found = estimator.refine(frame_of(arms(np.array([90.0]))[0])[None], arms(np.array([90.0])), GEOMETRY)
     np.testing.assert_allclose(found.covariance[0, 2], np.diag([1.0, 4.0]) / 1.5**2, atol=0.02)
 
 
-def test_what_a_patch_adds_by_where_it_is_cut_cancels(metadata: CheckpointMetadata) -> None:
-    """A network that draws what it finds toward the middle of its patch, and now and then sees another thing."""
+def test_shift_augmentation_cancels_a_pull_toward_the_crop_centre(metadata: CheckpointMetadata) -> None:
+    """A network whose predictions are pulled toward the centre of the crop."""
 
-    class DrawnToTheMiddle(FindsSpots):
+    class PulledToTheCentre(SpotPredictor):
         def __call__(self, images: np.ndarray) -> Detections:
             found = super().__call__(images)
             middle = (images.shape[2] - 1) / 2
@@ -110,27 +116,27 @@ def test_what_a_patch_adds_by_where_it_is_cut_cancels(metadata: CheckpointMetada
     truth = arms(np.linspace(0, 330, 12))
     frames = np.stack([frame_of(xy) for xy in truth])
     for off_px in (0.0, 1.0, 3.0):
-        found = CoarseToFineEstimator(FindsSpots(), DrawnToTheMiddle()).refine(
+        found = CoarseToFineEstimator(SpotPredictor(), PulledToTheCentre()).refine(
             frames, truth + off_px, GEOMETRY
         )
-        # Once it was looked for from 3 px away, 0.2 * 3 px would be left, and from what was found then 0.2 * 0.6.
+        # One crop 3 px off would leave 0.2 * 3 px, and a second one around its result 0.2 * 0.6 px.
         np.testing.assert_allclose(found.xy, truth, atol=0.06 + 0.04 * off_px)
 
 
-def test_what_is_not_measured_by_is_looked_at_once(
+def test_single_view_keypoints_are_not_averaged_over_shifted_crops(
     estimator: CoarseToFineEstimator, metadata: CheckpointMetadata
 ) -> None:
     truth = arms(np.array([20.0, 65.0]))
     frames = [frame_of(xy) for xy in truth]
-    quick = CoarseToFineEstimator(FindsSpots(), FindsSpots(), single_view=(1,))
-    one, other = (own.refine(frames, truth, GEOMETRY) for own in (estimator, quick))
-    # Of three keypoints in two frames one is seen in two patches less.
-    assert estimator.refiner.shown - quick.refiner.shown == 2 * 2
+    single = CoarseToFineEstimator(SpotPredictor(), SpotPredictor(), single_view=(1,))
+    one, other = (own.refine(frames, truth, GEOMETRY) for own in (estimator, single))
+    # One of three keypoints needs two crops fewer in each of two frames.
+    assert estimator.refiner.shown - single.refiner.shown == 2 * 2
     np.testing.assert_array_equal(one.xy[:, [0, 2]], other.xy[:, [0, 2]])
     np.testing.assert_allclose(other.xy[:, 1], truth[:, 1], atol=0.1)
 
 
-def test_of_two_readings_far_apart_the_likelier_counts() -> None:
+def test_of_two_distant_predictions_the_likelier_is_taken() -> None:
     one, other = (
         Detections(np.full((1, 2, 2), x), np.array([[0.8, 0.4]]), np.full((1, 2, 2, 2), x))
         for x in (10.0, 13.0)
@@ -144,7 +150,7 @@ def test_of_two_readings_far_apart_the_likelier_counts() -> None:
     np.testing.assert_array_equal(both.covariance[0, :, 0, 0], [10.0, 13.0])
 
 
-def test_a_video_is_followed_and_seldom_searched(
+def test_a_video_is_tracked_with_few_searches(
     estimator: CoarseToFineEstimator, metadata: CheckpointMetadata
 ) -> None:
     truth = arms(np.concatenate([np.linspace(0, 120, 61), np.linspace(118, 0, 59)]))
@@ -155,7 +161,7 @@ def test_a_video_is_followed_and_seldom_searched(
     assert estimator.locator.shown <= 2 + len(frames) / CHECK_EVERY + 2
 
 
-def test_a_jump_is_found_by_searching_again(
+def test_a_jump_is_found_by_a_new_search(
     estimator: CoarseToFineEstimator, metadata: CheckpointMetadata
 ) -> None:
     truth = np.concatenate([arms(np.linspace(0, 10, 6)), arms(np.linspace(150, 160, 6))])
@@ -163,7 +169,7 @@ def test_a_jump_is_found_by_searching_again(
     np.testing.assert_allclose(found.xy, truth, atol=0.15)
 
 
-def test_what_is_hidden_is_unlikely_and_found_again(
+def test_a_hidden_keypoint_is_unlikely_and_then_found_again(
     estimator: CoarseToFineEstimator, metadata: CheckpointMetadata
 ) -> None:
     truth = arms(np.linspace(0, 40, 21))
@@ -176,23 +182,23 @@ def test_what_is_hidden_is_unlikely_and_found_again(
     assert (found.likelihood[12:] > 0.9).all()
 
 
-def test_what_the_two_networks_put_far_apart_is_unlikely(metadata: CheckpointMetadata) -> None:
-    class SeesItBeside(FindsSpots):
-        beside_px = 0.0
+def test_a_keypoint_on_which_both_networks_disagree_is_unlikely(metadata: CheckpointMetadata) -> None:
+    class ShiftedPredictor(SpotPredictor):
+        shift_px = 0.0
 
         def __call__(self, images: np.ndarray) -> Detections:
             found = super().__call__(images)
-            return Detections(found.xy + self.beside_px, found.likelihood, found.covariance)
+            return Detections(found.xy + self.shift_px, found.likelihood, found.covariance)
 
-    truth, refine = arms(np.array([20.0])), SeesItBeside()
-    for refine.beside_px, likely in ((2.0, True), (15.0, False)):
-        found = CoarseToFineEstimator(FindsSpots(), refine).detect([frame_of(truth[0])], GEOMETRY)
+    truth, refiner = arms(np.array([20.0])), ShiftedPredictor()
+    for refiner.shift_px, likely in ((2.0, True), (15.0, False)):
+        found = CoarseToFineEstimator(SpotPredictor(), refiner).detect([frame_of(truth[0])], GEOMETRY)
         assert (found.likelihood > 0.5).all() == likely
         assert (found.likelihood == 0).all() != likely
 
 
-class TellsTheSame:
-    """An aligner that wants the second and the third keypoint moved by the same step wherever it sees them."""
+class ConstantRegressor:
+    """An end regressor that returns the same step for every crop of the end of keypoints 1 and 2."""
 
     ends = ((1, 2),)
 
@@ -207,81 +213,85 @@ class TellsTheSame:
         return np.broadcast_to(self.step, (len(images), 1, 3))
 
 
-def test_an_end_is_put_where_it_is_told_to_lie(
+def test_end_regression_moves_an_end_by_the_predicted_step(
     estimator: CoarseToFineEstimator, metadata: CheckpointMetadata
 ) -> None:
     truth = arms(np.array([20.0, 65.0]))
     frames = [frame_of(xy) for xy in truth]
     plain = estimator.refine(frames, truth, GEOMETRY)
-    looks = estimator.refiner.shown
-    align = TellsTheSame(3.0, -6.0, 0.1)
-    told = CoarseToFineEstimator(FindsSpots(), FindsSpots(), end_regressor=align)
-    found = told.refine(frames, truth, GEOMETRY)
-    # Three px along the end and six back across it, of images of three px for one of the frame.
+    crops = estimator.refiner.shown
+    regressor = ConstantRegressor(3.0, -6.0, 0.1)
+    regressed = CoarseToFineEstimator(SpotPredictor(), SpotPredictor(), end_regressor=regressor)
+    found = regressed.refine(frames, truth, GEOMETRY)
+    # 3 px along the end and -6 px across it, in crops of 3 px per frame px.
     for i, turn in enumerate(np.deg2rad([20.0, 65.0])):
         along, across = np.array([np.cos(turn), np.sin(turn)]), np.array([-np.sin(turn), np.cos(turn)])
         half = 22.5 * np.array([np.cos(turn + 0.1), np.sin(turn + 0.1)])
         middle = truth[i, 1:].mean(axis=0) + along - 2 * across
         np.testing.assert_allclose(found.xy[i, 1:], [middle - half, middle + half], atol=0.25)
-    # What is no end is seen from two sides as ever; an end once, and once closer.
+    # Other keypoints are averaged over shifted crops; an end has one crop and one high-resolution crop.
     np.testing.assert_allclose(found.xy[:, 0], plain.xy[:, 0], atol=1e-9)
-    assert looks - told.refiner.shown == 2 * 2 * 2
-    assert [shown.shape for shown in align.shown] == [(3, 128, 128)] * 2
-    # The closer picture lies along the end: of its two spots, green and blue, one is at its left and one at its right.
-    for shown in align.shown:
-        spots = FindsSpots()(shown[None]).xy[0, 1:]
+    assert crops - regressed.refiner.shown == 2 * 2 * 2
+    assert [shown.shape for shown in regressor.shown] == [(3, 128, 128)] * 2
+    # The high-resolution crop lies along the end: one spot at its left, the other at its right.
+    for shown in regressor.shown:
+        spots = SpotPredictor()(shown[None]).xy[0, 1:]
         np.testing.assert_allclose(spots.mean(axis=0), [63.5, 63.5], atol=1.0)
         assert spots[0, 0] < 16
         assert spots[1, 0] > 112
         assert np.ptp(spots[:, 1]) < 0.2
 
 
-def test_many_ends_are_seen_closer_a_few_at_a_time(estimator: CoarseToFineEstimator) -> None:
+def test_end_crops_are_regressed_in_batches(estimator: CoarseToFineEstimator) -> None:
     truth = arms(np.linspace(0, 60, 70))
     frames = [frame_of(xy) for xy in truth]
-    align = TellsTheSame(0.0, 0.0, 0.0)
-    replace(estimator, end_regressor=align).refine(frames, truth, GEOMETRY)
-    assert len(align.shown) == 70
-    assert align.most <= 64
+    regressor = ConstantRegressor(0.0, 0.0, 0.0)
+    replace(estimator, end_regressor=regressor).refine(frames, truth, GEOMETRY)
+    assert len(regressor.shown) == 70
+    assert regressor.most <= 64
 
 
-def test_an_end_that_turns_about_one_of_its_points_is_seen_closer_all_the_time(
+def test_an_end_that_turns_about_its_static_point_is_regressed_in_every_frame(
     estimator: CoarseToFineEstimator, metadata: CheckpointMetadata
 ) -> None:
     turn = np.deg2rad(np.arange(24) * 0.45)
     middle = np.broadcast_to([170.0, 110.0], (len(turn), 2))
     truth = np.stack([middle - [50, 0], middle, middle + 45 * np.stack([np.cos(turn), np.sin(turn)], 1)], 1)
-    told = replace(estimator, end_regressor=TellsTheSame(0.0, 3.0, 0.0))
-    found = KeypointTracker(told, metadata).detect([frame_of(xy) for xy in truth])
+    regressed = replace(estimator, end_regressor=ConstantRegressor(0.0, 3.0, 0.0))
+    found = KeypointTracker(regressed, metadata).detect([frame_of(xy) for xy in truth])
     across = np.stack([-np.sin(turn), np.cos(turn)], axis=1)
     np.testing.assert_allclose(found.xy[:, 1:], truth[:, 1:] + across[:, None], atol=0.25)
 
 
 @pytest.mark.parametrize("step", [(9.0, 0.0, 0.0), (0.0, 0.0, -0.3), (np.nan, 0.0, 0.0)])
-def test_an_end_that_is_told_to_lie_far_off_is_seen_from_two_sides(
+def test_a_step_that_is_too_large_is_ignored(
     step: tuple[float, ...], estimator: CoarseToFineEstimator, metadata: CheckpointMetadata
 ) -> None:
     truth = arms(np.array([20.0, 65.0]))
     frames = [frame_of(xy) for xy in truth]
-    told = CoarseToFineEstimator(FindsSpots(), FindsSpots(), end_regressor=TellsTheSame(*step))
-    one, other = (own.refine(frames, truth, GEOMETRY) for own in (estimator, told))
+    regressed = CoarseToFineEstimator(
+        SpotPredictor(), SpotPredictor(), end_regressor=ConstantRegressor(*step)
+    )
+    one, other = (own.refine(frames, truth, GEOMETRY) for own in (estimator, regressed))
     np.testing.assert_array_equal(one.xy, other.xy)
     np.testing.assert_array_equal(one.covariance, other.covariance)
 
 
-def test_an_end_of_which_one_point_is_looked_for_is_not_aligned(
+def test_an_end_with_one_missing_point_is_not_regressed(
     estimator: CoarseToFineEstimator, metadata: CheckpointMetadata
 ) -> None:
     near = arms(np.array([20.0]))
     frame = frame_of(near[0])
     near[0, 2] = np.nan
-    told = CoarseToFineEstimator(FindsSpots(), FindsSpots(), end_regressor=TellsTheSame(3.0, 3.0, 0.1))
-    one, other = (own.refine([frame], near, GEOMETRY) for own in (estimator, told))
+    regressed = CoarseToFineEstimator(
+        SpotPredictor(), SpotPredictor(), end_regressor=ConstantRegressor(3.0, 3.0, 0.1)
+    )
+    one, other = (own.refine([frame], near, GEOMETRY) for own in (estimator, regressed))
     np.testing.assert_array_equal(one.xy, other.xy)
 
 
-def test_an_end_that_stretches_is_not_believed_and_searched(metadata: CheckpointMetadata) -> None:
-    """Behind something the tip's patch takes what it sees for the tip, further and further away."""
+def test_an_implausible_distance_is_unlikely_and_searched(metadata: CheckpointMetadata) -> None:
+    """Behind an occluder the tip's crop may show something else, further and further away."""
     truth = arms(np.full(8, 20.0))
     lengths = reference_distances(truth, metadata.reference, np.full(8, REGION.refiner_scale))
     known = replace(metadata, distance_range=tuple(map(tuple, lengths.tolist())))
@@ -295,84 +305,84 @@ def test_an_end_that_stretches_is_not_believed_and_searched(metadata: Checkpoint
         away = truth[0].copy()
         away[2] = truth[0, 1] + stretch * (truth[0, 2] - truth[0, 1])
         frames[3:6] = [frame_of(away)] * 3
-        found = KeypointTracker(CoarseToFineEstimator(FindsSpots(), FindsSpots()), own).detect(frames)
+        found = KeypointTracker(CoarseToFineEstimator(SpotPredictor(), SpotPredictor()), own).detect(frames)
         assert (found.likelihood[3:6, 2] > 0.5).all() == likely
         assert (found.likelihood[[0, 1, 2, 6, 7]] > 0.9).all()
         if not likely:
-            searching = CoarseToFineEstimator(FindsSpots(), FindsSpots())
+            searching = CoarseToFineEstimator(SpotPredictor(), SpotPredictor())
             KeypointTracker(searching, own).detect(frames)
             assert searching.locator.shown >= 4
 
 
-def test_a_frame_is_searched_until_both_networks_are_sure(metadata: CheckpointMetadata) -> None:
-    """Where the tip comes out from behind something, what was taken for it meanwhile is not followed."""
+def test_frames_are_searched_until_both_networks_are_sure(metadata: CheckpointMetadata) -> None:
+    """A false tip found during an occlusion is not tracked on."""
     truth = arms(np.full(12, 20.0))
     frames = [frame_of(xy) for xy in truth]
 
-    class UnsureAtFirst(FindsSpots):
+    class UnsureAtFirst(SpotPredictor):
         def __call__(self, images: np.ndarray) -> Detections:
             found = super().__call__(images)
             if self.shown <= 5:
                 found.likelihood[:, 2] = 0.3
             return found
 
-    locate = UnsureAtFirst()
-    tracker = KeypointTracker(CoarseToFineEstimator(locate, FindsSpots()), metadata)
+    locator = UnsureAtFirst()
+    tracker = KeypointTracker(CoarseToFineEstimator(locator, SpotPredictor()), metadata)
     likelihood = np.concatenate([tracker.detect([frame]).likelihood for frame in frames])
     assert (likelihood[:5, 2] < 0.5).all()
     assert (likelihood[5:] > 0.9).all()
-    assert locate.shown == 6
+    assert locator.shown == 6
 
 
-def test_a_false_track_ends_with_the_next_search(
+def test_a_false_track_ends_with_the_next_check(
     estimator: CoarseToFineEstimator, metadata: CheckpointMetadata
 ) -> None:
     rest = arms(np.array([20.0]))[0]
     false = rest + np.array([0.0, 90.0])
 
-    class FindsFirstTheFalse(FindsSpots):
+    class FalseAtFirst(SpotPredictor):
         def __call__(self, images: np.ndarray) -> Detections:
             found = super().__call__(images)
             if self.shown <= 1:
-                # As a locator that is taken in by something else in the first frame.
+                # As a locator that takes something else for the arm in the first frame.
                 return Detections(
                     np.broadcast_to(false * 0.5 - 0.25, found.xy.shape), found.likelihood, found.covariance
                 )
             return found
 
-    class BelievesAnything(FindsSpots):
+    class AlwaysConfident(SpotPredictor):
         def __call__(self, images: np.ndarray) -> Detections:
             found = super().__call__(images)
             lost = found.likelihood < 0.1
             xy = np.where(lost[..., None], 31.5, found.xy)
             return Detections(xy, np.where(lost, 0.5, 0.8), found.covariance)
 
-    tracker = KeypointTracker(CoarseToFineEstimator(FindsFirstTheFalse(), BelievesAnything()), metadata)
+    tracker = KeypointTracker(CoarseToFineEstimator(FalseAtFirst(), AlwaysConfident()), metadata)
     found = tracker.detect([frame_of(rest)] * (CHECK_EVERY + 10))
     assert np.abs(found.xy[:10] - rest).max() > 50
     np.testing.assert_allclose(found.xy[-5:], np.broadcast_to(rest, (5, 3, 2)), atol=0.15)
 
 
-def test_frames_that_are_passed_over_are_reckoned_with(
+def test_keypoints_move_on_during_dropped_frames(
     estimator: CoarseToFineEstimator, metadata: CheckpointMetadata
 ) -> None:
-    """Keypoints go on in their own pace meanwhile, so one look is enough where they must be by now."""
+    """Constant-velocity prediction spans the gap, so fewer crops are needed after it."""
     frames = [frame_of(xy) for xy in arms(2.5 * np.arange(13))]
-    looks = {}
-    for told in (True, False):
+    crops = {}
+    for is_told in (True, False):
         tracker = KeypointTracker(estimator, metadata)
         tracker.detect(frames[:6])
         before = estimator.refiner.shown
-        if told:
+        if is_told:
             tracker.pass_over(4)
         found = [tracker.detect([frames[i]]).xy[0] for i in (10, 11, 12)]
         np.testing.assert_allclose(found, arms(2.5 * np.array([10, 11, 12])), atol=0.15)
-        looks[told] = (estimator.refiner.shown - before) // 3
-    assert looks[True] < looks[False]
+        crops[is_told] = (estimator.refiner.shown - before) // 3
+    assert crops[True] < crops[False]
 
 
-class LocatesNoTip(FindsSpots):
-    """A locator that is taken in by something beside the tip in its first images."""
+class WrongTipLocator(SpotPredictor):
+    """A locator that puts the tip next to its place in its first images."""
 
     def __init__(self, images: int) -> None:
         super().__init__()
@@ -387,22 +397,24 @@ class LocatesNoTip(FindsSpots):
         return found
 
 
-def test_what_was_lost_at_first_is_found_from_the_frames_after_it(metadata: CheckpointMetadata) -> None:
+def test_the_backward_pass_finds_keypoints_lost_at_first(metadata: CheckpointMetadata) -> None:
     truth = arms(2.0 * np.arange(20))
     frames = [frame_of(xy) for xy in truth]
-    found = KeypointTracker(CoarseToFineEstimator(LocatesNoTip(8), FindsSpots()), metadata).detect(frames)
+    found = KeypointTracker(CoarseToFineEstimator(WrongTipLocator(8), SpotPredictor()), metadata).detect(
+        frames
+    )
     np.testing.assert_allclose(found.xy, truth, atol=0.2)
     assert (found.likelihood > 0.9).all()
-    # One by one, as they come from a camera, there is nothing after them.
-    live = KeypointTracker(CoarseToFineEstimator(LocatesNoTip(8), FindsSpots()), metadata)
+    # Frames given one by one, as from a camera, have no later frames.
+    live = KeypointTracker(CoarseToFineEstimator(WrongTipLocator(8), SpotPredictor()), metadata)
     first = live.detect(frames[:1])
     assert first.likelihood[0, 2] < 0.5
 
 
-def test_looking_back_ends_where_nothing_is_seen(metadata: CheckpointMetadata) -> None:
-    """Behind a board the tip may have been anywhere, and before it somewhere else."""
+def test_the_backward_pass_ends_at_an_occlusion(metadata: CheckpointMetadata) -> None:
+    """Before an occlusion the tip may have been anywhere."""
 
-    class StaysInTheMiddle(FindsSpots):
+    class CentreIfLost(SpotPredictor):
         def __call__(self, images: np.ndarray) -> Detections:
             found = super().__call__(images)
             lost = found.likelihood < 0.1
@@ -411,8 +423,153 @@ def test_looking_back_ends_where_nothing_is_seen(metadata: CheckpointMetadata) -
     truth = arms(2.0 * np.arange(20))
     frames = [frame_of(xy) for xy in truth]
     frames[4][:] = BACKGROUND
-    estimator = CoarseToFineEstimator(LocatesNoTip(8), StaysInTheMiddle())
+    estimator = CoarseToFineEstimator(WrongTipLocator(8), CentreIfLost())
     found = KeypointTracker(estimator, metadata).detect(frames)
     np.testing.assert_allclose(found.xy[5:], truth[5:], atol=0.2)
     assert (found.likelihood[5:] > 0.9).all()
     assert (found.likelihood[:5, 2] < 0.5).all()
+
+
+def without(estimator: CoarseToFineEstimator, stage: str) -> CoarseToFineEstimator:
+    """The same estimator without a stage, with predictors that count from 0."""
+    locator, refiner = type(estimator.locator)(), type(estimator.refiner)()
+    return replace(estimator, locator=locator, refiner=refiner, stages=StageSettings(**{stage: False}))
+
+
+def test_stage_whole_frame_search(estimator: CoarseToFineEstimator) -> None:
+    truth = arms(np.array([0.0]))
+    frame = frame_of(truth[0])
+    # The tip, at x = 245 px, lies outside.
+    geometry = CropGeometry(RegionOfInterest(SIZE_WH, 100, 60, 120, 100, 0.5, 1.5), GEOMETRY.reference)
+    off = without(estimator, "whole_frame_search")
+    searched, unsearched = (own.propose([frame], geometry) for own in (estimator, off))
+    np.testing.assert_allclose(searched.xy, truth, atol=0.5)
+    assert searched.likelihood[0, 2] > 0.5
+    assert unsearched.likelihood[0, 2] < 0.1
+    assert (estimator.locator.shown, off.locator.shown) == (2, 1)
+
+
+def test_stage_iterative_refinement(estimator: CoarseToFineEstimator) -> None:
+    """Of keypoints expected 3 px off, a second crop is cut, or is not."""
+    truth = arms(np.array([20.0]))
+    off = without(estimator, "iterative_refinement")
+    for own in (estimator, off):
+        own.refine([frame_of(truth[0])], truth + 3.0, GEOMETRY)
+    assert (estimator.refiner.shown, off.refiner.shown) == (3 + 3 + 6, 3 + 6)
+
+
+def test_stage_shift_augmentation(estimator: CoarseToFineEstimator) -> None:
+    truth = arms(np.array([20.0]))
+    off = without(estimator, "shift_augmentation")
+    for own in (estimator, off):
+        found = own.refine([frame_of(truth[0])], truth, GEOMETRY)
+        np.testing.assert_allclose(found.xy, truth, atol=0.15)
+    assert (estimator.refiner.shown, off.refiner.shown) == (3 + 6, 3)
+
+
+def test_stage_end_regression(estimator: CoarseToFineEstimator) -> None:
+    truth = arms(np.array([20.0]))
+    regressor = ConstantRegressor(0.0, 3.0, 0.0)
+    plain = estimator.refine([frame_of(truth[0])], truth, GEOMETRY)
+    off = without(replace(estimator, end_regressor=regressor), "end_regression")
+    found = off.refine([frame_of(truth[0])], truth, GEOMETRY)
+    assert not regressor.shown
+    np.testing.assert_array_equal(found.xy, plain.xy)
+
+
+def test_stage_agreement_check(estimator: CoarseToFineEstimator) -> None:
+    truth = arms(np.array([20.0]))
+    proposed, found = predicted_at(truth), predicted_at(truth + 15.0)
+    proposed, found = (replace(one, likelihood=np.full((1, 3), 0.8)) for one in (proposed, found))
+    off = without(estimator, "agreement_check")
+    checked, unchecked = (own.check_agreement(proposed, found, GEOMETRY) for own in (estimator, off))
+    assert (checked.likelihood == 0).all()
+    assert (unchecked.likelihood == 0.8).all()
+
+
+def test_stage_static_patches(estimator: CoarseToFineEstimator, metadata: CheckpointMetadata) -> None:
+    """In a static video keypoints are predicted about `REST_PREDICTIONS` times, or in every frame."""
+    frames = [frame_of(arms(np.array([20.0]))[0])] * 14
+    off = without(estimator, "static_patches")
+    for own in (estimator, off):
+        KeypointTracker(own, metadata).detect(frames)
+    # Each prediction takes one crop and two shifted ones for each of three keypoints.
+    assert off.refiner.shown == 9 * len(frames)
+    assert estimator.refiner.shown <= 9 * (1 + REST_PREDICTIONS + FRAMES_AHEAD)
+
+
+def test_stage_backward_pass(metadata: CheckpointMetadata) -> None:
+    truth = arms(2.0 * np.arange(12))
+    frames = [frame_of(xy) for xy in truth]
+    for runs in (True, False):
+        estimator = CoarseToFineEstimator(
+            WrongTipLocator(4), SpotPredictor(), stages=StageSettings(backward_pass=runs)
+        )
+        found = KeypointTracker(estimator, metadata).detect(frames)
+        assert (found.likelihood[0, 2] > 0.9) == runs
+        assert (found.likelihood[-4:] > 0.9).all()
+
+
+def read_only(found: Detections) -> Detections:
+    """The same detections, whose arrays cannot be written into."""
+    arrays = [array.copy() for array in (found.xy, found.likelihood, found.covariance)]
+    for array in arrays:
+        array.setflags(write=False)
+    return Detections(*arrays)
+
+
+class ReadOnlyPredictor(SpotPredictor):
+    """Predictions whose arrays cannot be written into."""
+
+    def __call__(self, images: np.ndarray) -> Detections:
+        return read_only(super().__call__(images))
+
+
+@pytest.mark.parametrize("shift_ends", [False, True])
+def test_no_stage_writes_into_its_argument(shift_ends: bool, metadata: CheckpointMetadata) -> None:
+    truth = arms(np.array([20.0, 65.0]))
+    frames = np.stack([frame_of(xy) for xy in truth])
+    geometry = CropGeometry(RegionOfInterest(SIZE_WH, 100, 60, 100, 80, 0.5, 1.5), GEOMETRY.reference)
+    estimator = CoarseToFineEstimator(
+        ReadOnlyPredictor(),
+        ReadOnlyPredictor(),
+        end_regressor=ConstantRegressor(0.5, 0.5, 0.01),
+        shift_ends=shift_ends,
+    )
+    expected, wanted = read_only(predicted_at(truth + 3.0)), np.ones((2, 3), bool)
+    wanted[0, 0] = False
+    for array in (frames, wanted):
+        array.setflags(write=False)
+    estimate = Estimate(expected, wanted)
+    for stage in (estimator.crop_and_predict, estimator.average_shifted, estimator.regress_ends):
+        changed = stage(frames, estimate, geometry)
+        assert not np.array_equal(changed.found.xy, expected.xy)
+        np.testing.assert_array_equal(changed.found.xy[0, 0], expected.xy[0, 0])
+    # Where no keypoint is pending nothing is looked at, and the arguments may be returned as they are.
+    assert estimator.refine(frames, expected, geometry, np.zeros((2, 3), bool)) is expected
+    for given in (expected, expected.xy):
+        estimator.refine(frames, given, geometry, wanted)
+    proposed = read_only(estimator.propose(frames, geometry))
+    found = read_only(estimator.detect(frames, geometry))
+    estimator.check_agreement(proposed, found, geometry)
+    metadata.calibrated(found, geometry)
+
+
+def test_the_tracker_writes_into_no_detections_that_it_is_given(metadata: CheckpointMetadata) -> None:
+    """Neither in forward tracking of static and moving keypoints, nor in the backward pass."""
+
+    class ReadOnlyEstimator(CoarseToFineEstimator):
+        def detect(self, frames, geometry):
+            return read_only(super().detect(frames, geometry))
+
+        def propose(self, frames, geometry):
+            return read_only(super().propose(frames, geometry))
+
+        def refine(self, frames, expected, geometry, wanted=None):
+            return read_only(super().refine(frames, expected, geometry, wanted))
+
+    truth = np.concatenate([arms(2.0 * np.arange(12)), arms(np.full(8, 22.0))])
+    tracker = KeypointTracker(ReadOnlyEstimator(WrongTipLocator(4), ReadOnlyPredictor()), metadata)
+    found = tracker.detect([frame_of(xy) for xy in truth])
+    np.testing.assert_allclose(found.xy, truth, atol=0.2)
+    assert (found.likelihood > 0.9).all()

@@ -1,4 +1,4 @@
-"""Where the network looks: the labels' box with room around it, at scales that fit the body, whatever the camera."""
+"""Region of interest, scales and reference keypoints from labels, whatever the camera's resolution."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def sweep(scale: float = 1.0, shift: float = 0.0) -> np.ndarray:
     return (np.concatenate([start, start + np.cumsum(steps, axis=1)], axis=1) + shift) * scale
 
 
-def test_the_region_holds_every_label_with_room_and_stays_in_the_frame() -> None:
+def test_the_region_holds_every_label_with_a_margin_inside_the_frame() -> None:
     xy = sweep()
     region = region_of_interest(xy, (640, 480))
     low, high = xy.reshape(-1, 2).min(axis=0), xy.reshape(-1, 2).max(axis=0)
@@ -42,14 +42,14 @@ def test_the_region_holds_every_label_with_room_and_stays_in_the_frame() -> None
     assert region.top + region.height <= 480
 
 
-def test_a_camera_with_four_times_the_pixels_gives_the_network_the_same_picture() -> None:
+def test_a_camera_of_four_times_the_resolution_gives_the_same_input() -> None:
     small, large = region_of_interest(sweep(1.5), (960, 720)), region_of_interest(sweep(6.0), (3840, 2880))
     assert large.locator_scale == pytest.approx(small.locator_scale / 4, rel=0.05)
     assert large.refiner_scale == pytest.approx(small.refiner_scale / 4, rel=0.05)
     assert max(large.locator_view(16).size_wh) <= LOCATOR_SIDE + 16
 
 
-def test_a_small_animal_in_a_large_arena_is_not_shrunk_away() -> None:
+def test_a_small_body_in_a_large_region_keeps_its_least_input_size() -> None:
     rng = np.random.default_rng(0)
     body = np.array([[0, 0], [20, 8], [20, -8], [70, 0]], float)
     xy = rng.uniform(100, 400, (30, 1, 2)) + body
@@ -58,14 +58,14 @@ def test_a_small_animal_in_a_large_arena_is_not_shrunk_away() -> None:
     assert region.refiner_scale <= MAX_MAGNIFICATION
 
 
-def test_patches_are_never_cut_from_an_enlarged_frame() -> None:
+def test_crops_are_never_cut_from_an_enlarged_frame() -> None:
     region = region_of_interest(sweep(0.3), (640, 480))
     assert region.fine_scale == 1.0
     assert region.magnification == pytest.approx(region.refiner_scale)
     assert region.magnification > 1
 
 
-def test_frames_of_another_size_are_searched_whole_at_a_fitting_scale() -> None:
+def test_frames_of_another_size_are_searched_whole_at_their_scale() -> None:
     region = region_of_interest(sweep(), (640, 480))
     other = region.for_frame((1280, 960))
     assert (other.left, other.top, other.width, other.height) == (0, 0, 1280, 960)
@@ -73,7 +73,7 @@ def test_frames_of_another_size_are_searched_whole_at_a_fitting_scale() -> None:
     assert region.for_frame((640, 480)) is region
 
 
-def test_a_few_labels_do_not_tell_where_the_actuator_can_be() -> None:
+def test_too_few_labels_give_no_region_of_their_own() -> None:
     large, few = sweep(), sweep(2.0)[:2]
     regions = regions_of_interest(np.concatenate([large, few]), [(640, 480)] * 12 + [(1280, 960)] * 2)
     assert [region.frame_wh for region in regions] == [(640, 480), (1280, 960)]
@@ -84,12 +84,12 @@ def test_a_few_labels_do_not_tell_where_the_actuator_can_be() -> None:
     assert (alone[0].width, alone[0].height) == (640, 480)
 
 
-def test_a_region_survives_json() -> None:
+def test_round_trip_of_a_region() -> None:
     region = region_of_interest(sweep(), (640, 480))
     assert RegionOfInterest.from_dict(region.to_dict()) == region
 
 
-def test_each_end_is_its_own_pair_and_missing_labels_do_not_matter() -> None:
+def test_the_two_points_of_an_end_are_each_others_reference() -> None:
     xy = sweep()
     xy[3, 0] = np.nan
     assert list(reference_keypoints(xy)) == [1, 0, 3, 2]
@@ -98,12 +98,12 @@ def test_each_end_is_its_own_pair_and_missing_labels_do_not_matter() -> None:
     assert list(reference_keypoints(alone)) == [0, 1]
 
 
-def test_lengths_are_those_of_the_labels_in_patch_px() -> None:
+def test_reference_distances_are_in_crop_px() -> None:
     xy = np.array([[[0, 0], [3, 4], [90, 0]], [[0, 0], [6, 8], [np.nan, np.nan]]], float)
     lengths = reference_distances(xy, [1, 0, 2], np.array([2.0, 1.5]))
     assert lengths.tolist() == [[10, 15], [10, 15], [0, np.inf]]
 
 
-def test_directions_of_both_of_a_pair_are_the_same_and_nan_gives_none() -> None:
+def test_both_points_of_a_pair_have_one_orientation_and_nan_gives_zero() -> None:
     xy = np.array([[[0.0, 0.0], [0.0, 5.0], [3.0, 3.0], [np.nan, np.nan]]])
     np.testing.assert_allclose(orientations(xy, (1, 0, 3, 2)), [[np.pi / 2, np.pi / 2, 0, 0]])

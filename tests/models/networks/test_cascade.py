@@ -1,4 +1,4 @@
-"""The fallback to the whole frame where a keypoint is not in the region. The networks are stand-ins."""
+"""The search in the whole frame for a keypoint that the region of interest does not show, with a stand-in network."""
 
 from __future__ import annotations
 
@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 import torch
 
+from bendtrack.models.inference.crops import CropGeometry
 from bendtrack.models.inference.roi import RegionOfInterest
 from bendtrack.models.networks.cascade import Cascade
 from bendtrack.models.networks.heatmap_network import STRIDE, Maps
 
-REFERENCE = (1, 0)
 
-
-class FindsColours(torch.nn.Module):
-    """Maps that peak at a red and at a blue spot, where there is one: a network whose answer is known."""
+class ColourNetwork(torch.nn.Module):
+    """Heatmaps that peak at a red and at a blue spot, where there is one: a network whose output is known."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -32,7 +31,7 @@ class FindsColours(torch.nn.Module):
 @pytest.fixture
 def cascade() -> Cascade:
     cascade = Cascade("resnet18", 2)
-    cascade.locator = cascade.refiner = FindsColours()
+    cascade.locator = cascade.refiner = ColourNetwork()
     return cascade
 
 
@@ -43,30 +42,30 @@ def frame(red_xy: tuple[int, int], blue_xy: tuple[int, int]) -> np.ndarray:
     return image
 
 
-REGION = RegionOfInterest((320, 240), 20, 20, 140, 140, 1.0, 1.0)
+GEOMETRY = CropGeometry(RegionOfInterest((320, 240), 20, 20, 140, 140, 1.0, 1.0), reference=(1, 0))
 
 
-def test_a_tip_beyond_the_region_is_found_in_the_whole_frame(cascade: Cascade) -> None:
-    found = cascade.detect(frame((60, 60), (280, 200))[None], REGION, REFERENCE)
+def test_a_keypoint_outside_the_region_is_found_in_the_whole_frame(cascade: Cascade) -> None:
+    found = cascade.detect(frame((60, 60), (280, 200))[None], GEOMETRY)
     np.testing.assert_allclose(found.xy[0], [[60, 60], [280, 200]], atol=3)
     assert found.likelihood.min() > 0.9
 
 
-def test_a_keypoint_within_the_region_is_not_searched_elsewhere(cascade: Cascade) -> None:
-    looked: list[tuple[int, ...]] = []
-    cascade.locator.register_forward_hook(lambda module, given, out: looked.append(tuple(given[0].shape)))
+def test_a_keypoint_inside_the_region_needs_no_search_in_the_whole_frame(cascade: Cascade) -> None:
+    shapes: list[tuple[int, ...]] = []
+    cascade.locator.register_forward_hook(lambda module, given, out: shapes.append(tuple(given[0].shape)))
     image = frame((60, 60), (120, 100))
-    # The same colour outside the region is not taken for the tip.
+    # The same colour outside the region does not matter.
     image[200:210, 290:300] = (0, 0, 255)
-    found = cascade.detect(np.stack([image, image]), REGION, REFERENCE)
+    found = cascade.detect(np.stack([image, image]), GEOMETRY)
     np.testing.assert_allclose(found.xy[1], [[60, 60], [120, 100]], atol=3)
-    assert {shape[-1] for shape in looked} <= {160, 64}
+    assert {shape[-1] for shape in shapes} <= {160, 64}
 
 
-def test_an_absent_keypoint_has_a_low_likelihood(cascade: Cascade) -> None:
+def test_a_keypoint_that_is_not_in_the_frame_is_unlikely(cascade: Cascade) -> None:
     image = frame((60, 60), (120, 100))
     image[90:110, 110:130] = 120
-    found = cascade.detect(image[None], REGION, REFERENCE)
+    found = cascade.detect(image[None], GEOMETRY)
     assert found.likelihood[0, 0] > 0.9
     assert found.likelihood[0, 1] < 0.1
     assert np.isfinite(found.xy).all()

@@ -1,4 +1,4 @@
-"""The shipped networks: present, small, accurate on new looks, and copied to the cache folder."""
+"""The shipped network: present, small, accurate on rendered frames, and copied where engines can be built."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from bendtrack.models.data.synthetic import rendered_samples
+from bendtrack.models.inference.crops import CropGeometry
 from bendtrack.models.networks.checkpoint import load_checkpoint
 from bendtrack.models.networks.shipped import actuator_file, shipped_network, working_copy
 from bendtrack.tracker.errors import BendtrackError, WeightsError
@@ -17,15 +18,17 @@ LARGEST_BYTES = 25e6
 
 
 @pytest.mark.parametrize("backbone", ["resnet18", "resnet50"])
-def test_shipped_networks_locate_canonical_keypoints(backbone: str) -> None:
+def test_the_shipped_network_finds_canonical_points(backbone: str) -> None:
     checkpoint = load_checkpoint(shipped_network(backbone))
     assert checkpoint.keypoints == KEYPOINTS
     assert checkpoint.backbone == backbone
-    # In pictures that it has not been taught with: those were of the seeds 10 and 12.
+    assert checkpoint.kind == "pretrained"
+    # In images that it was not trained on: those had the seeds 10 and 12.
     pairs = [pair for pair in rendered_samples(1001, range(12)) if pair[0].visible.all()]
     off = []
     for sample, frame in pairs:
-        xy, _ = checkpoint.network.estimator().located(sample.image[None], frame.region)
+        geometry = CropGeometry(frame.region, checkpoint.reference)
+        xy = checkpoint.network.estimator().propose(sample.image[None], geometry).xy
         length = np.linalg.norm(np.diff(frame.xy, axis=0), axis=1).sum()
         off.append(np.linalg.norm(xy[0] - frame.xy, axis=1) / length)
     assert len(pairs) >= 5
@@ -36,7 +39,7 @@ def test_the_shipped_network_is_small() -> None:
     assert shipped_network("resnet18").stat().st_size <= LARGEST_BYTES
 
 
-def test_a_backbone_without_a_shipped_network_is_refused() -> None:
+def test_a_backbone_without_a_shipped_network_is_a_weights_error() -> None:
     assert not actuator_file("resnet34").exists()
     with pytest.raises(
         WeightsError, match=r"expected a backbone that they come with \(.*resnet18.*\), got resnet34"

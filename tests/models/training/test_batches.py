@@ -96,7 +96,7 @@ def test_missing_labels_are_unknown_and_get_no_patch(prepared: list[PreparedFram
 def test_patches_elsewhere_are_along_the_body_or_anywhere(prepared: list[PreparedFrame]) -> None:
     reference = reference_keypoints(np.stack([frame.xy for frame in prepared]))
     frames, rng = dict(enumerate(prepared)), np.random.default_rng(0)
-    batch = refiner_batch(frames, list(range(6)), reference, rng, most=1, elsewhere=30)
+    batch = refiner_batch(frames, list(range(6)), reference, rng, max_keypoints=1, elsewhere=30)
     assert len(batch.images) == 6 * 31
     near = np.arange(len(batch.images)) % 31 == 0
     assert batch.present[near].any(axis=1).all()

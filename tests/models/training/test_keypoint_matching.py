@@ -15,7 +15,7 @@ from bendtrack.models.training.settings import TrainingSettings
 from bendtrack.models.training.trainer import train
 from bendtrack.models.training.transfer import keypoint_mapping
 from bendtrack.tracker.angle import AngleDefinition
-from bendtrack.tracker.synthetic.stream import KEYPOINTS, TRAINING, Sample, Renderer, drawn_look
+from bendtrack.tracker.synthetic.stream import KEYPOINTS, TRAINING, Renderer, Sample, drawn_look
 from bendtrack.tracker.types import LabelledFrame
 
 

@@ -20,6 +20,7 @@ from safetensors.torch import load_file
 from bendtrack.models.data.synthetic import rendered_frames
 from bendtrack.models.detector import NetworkDetector
 from bendtrack.models.evaluation import evaluate, not_trained_on
+from bendtrack.models.inference.crops import CropGeometry
 from bendtrack.models.networks.checkpoint import load_checkpoint
 from bendtrack.models.training import batches
 from bendtrack.models.training import trainer as training
@@ -157,8 +158,11 @@ def test_experience_replay_keeps_accuracy_on_other_actuators(
         """Median error of the refiner on rendered actuators of neither training."""
         monkeypatch.setattr(batches, "REPLAY_PER_BATCH", per_batch)
         checkpoint = train(frames, KEYPOINTS, definition, tmp_path / str(per_batch), settings)
-        finder = checkpoint.network.finder()
-        found = [finder.refined(f.fine[None], f.xy[None], f.region, checkpoint.reference) for f in others]
+        estimator = checkpoint.network.estimator()
+        found = [
+            estimator.refine(f.fine[None], f.xy[None], CropGeometry(f.region, checkpoint.reference))
+            for f in others
+        ]
         error = np.stack([np.linalg.norm(p.xy[0] - f.xy, axis=1) for p, f in zip(found, others, strict=True)])
         return float(np.median(error[np.stack([f.visible for f in others])]))
 
@@ -340,7 +344,7 @@ def test_initial_targets_of_the_shipped_network_are_nearer_to_the_truth_than_lab
 ) -> None:
     frames, truth = rendered[0][::2], rendered[1][::2]
     trainer = trainer_from("actuator", frames, definition, tmp_path / "model")
-    positions = trainer.denoiser.initial_targets(trainer.networks.average.finder(), np.ones(4, bool))
+    positions = trainer.denoiser.initial_targets(trainer.networks.average.estimator(), np.ones(4, bool))
     labels = np.stack([frame.xy for frame in frames])
     assert tip_sd_deg(labels, truth) > 1.5
     assert tip_sd_deg(positions, truth) < 0.4 * tip_sd_deg(labels, truth)
