@@ -90,7 +90,13 @@ def test_completion_is_offered(bendtrack) -> None:
 
 
 @pytest.mark.parametrize(
-    "command", [("track", "a.mp4", "my study"), ("frames", "a.mp4", "my study"), ("export", "a", "my study")]
+    "command",
+    [
+        ("track", "a.mp4", "my study"),
+        ("frames", "a.mp4", "my study"),
+        ("export", "a", "my study"),
+        ("import", "a.csv", "my study"),
+    ],
 )
 def test_arguments_in_the_wrong_order_are_seen(
     bendtrack, tmp_path: Path, monkeypatch, command: tuple[str, ...]

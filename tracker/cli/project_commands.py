@@ -102,7 +102,8 @@ def import_labels(
     from ...labeling.interop.importing import import_source, project_of
     from ..errors import LabelError
 
-    if project.exists():
+    # A name that is not there yet becomes a project, unless it is called like labels.
+    if project.exists() or project.suffix.lower() in (".csv", ".h5", ".json", ".slp"):
         check_order(project, (source,))
     found = open_labels(source, format, images)
     report = import_source(found, project_of(project, found), videos=video or (), overwrite=overwrite)
