@@ -9,6 +9,8 @@ from pathlib import Path
 
 from sphinx.application import Sphinx
 
+import bendtrack
+
 sys.path.insert(0, str(Path(__file__).parent / "_extensions"))
 
 project = "bendtrack"
@@ -31,6 +33,9 @@ extensions = [
 ]
 
 exclude_patterns = ["_build", "examples", ".DS_Store"]
+if not hasattr(bendtrack, "open_project"):
+    # An installation without the front door has nothing to describe there.
+    exclude_patterns.append("reference/front-door.md")
 suppress_warnings = ["config.cache"]
 nitpicky = False
 

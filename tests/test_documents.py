@@ -14,6 +14,7 @@ import subprocess
 from collections.abc import Iterator
 from contextlib import chdir
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -57,7 +58,7 @@ NOT_RUN = {
 
 SHORTER = (
     # Films of some hundred frames become some dozen, of a quarter of the size.
-    (r"(bendtrack render films\S+)", r"\1 --frame-rate 4 --size 320x240"),
+    (r"(bendtrack render films\S+)", r"\1 --frame-rate 6 --size 320x240"),
     (
         r"bendtrack render trial --seed 7.*",
         "bendtrack render trial --seed 7 --cycles 1 --frequency-hz 0.25 --frame-rate 3 --size 320x240",
@@ -67,8 +68,11 @@ SHORTER = (
     # Compiling takes longer than these few frames in torch; adapting to an actuator takes a minute.
     (r"(bendtrack track my-study \S+)", r"\1 --engine torch"),
     (r"(bendtrack angle \S+)", r"\1 --engine torch --quick"),
+    # The same in Python.
+    (r"(project\.track\([^)]*)", r'\1, engine="torch"'),
+    (r"(bt\.measure\([^)]*)", r'\1, engine="torch", adapt=False'),
 )
-"""What is changed in a command before it is run."""
+"""What is changed in a command or a Python block before it is run."""
 
 ONE_CYCLE = {"seed": 7, "cycles": 1, "frequency_hz": 0.25, "frame_rate": 3.0, "size_wh": (320, 240)}
 """A film that `angle` finds its actuator in."""
@@ -86,18 +90,18 @@ class Block:
         What is in it.
     line : int
         Where it begins in the document, from 1.
-    front_door : bool
-        Whether it needs `import bendtrack` to have names.
+    needs : tuple of str
+        What it needs that not every installation has: "front door" (`import bendtrack` has names), or a module.
     """
 
     language: str
     text: str
     line: int
-    front_door: bool
+    needs: tuple[str, ...]
 
 
 _BLOCK = re.compile(
-    r"^(?P<mark><!-- test: front door -->\n)?```(?P<language>\w+)\n(?P<text>.*?)^```$",
+    r"^(?:<!-- test: needs (?P<needs>.*?) -->\n)?```(?P<language>\w+)\n(?P<text>.*?)^```$",
     re.MULTILINE | re.DOTALL,
 )
 
@@ -106,7 +110,7 @@ def blocks(document: str) -> Iterator[Block]:
     text = (ROOT / document).read_text(encoding="utf-8")
     for found in _BLOCK.finditer(text):
         line = text.count("\n", 0, found.start()) + 1
-        yield Block(found["language"], found["text"], line, found["mark"] is not None)
+        yield Block(found["language"], found["text"], line, tuple((found["needs"] or "").split(", ")))
 
 
 def commands(block: Block) -> list[str]:
@@ -115,6 +119,12 @@ def commands(block: Block) -> list[str]:
 
 def reason_not_to_run(command: str) -> str | None:
     return next((reason for beginning, reason in NOT_RUN.items() if command.startswith(beginning)), None)
+
+
+def is_there(need: str) -> bool:
+    if need == "front door":
+        return hasattr(front_door, "open_project")
+    return need == "" or find_spec(need) is not None
 
 
 def shortened(command: str) -> str:
@@ -163,7 +173,7 @@ def by_hand(command: str, folder: Path, bendtrack: Bendtrack) -> None:
         short_training(folder)
     elif command.startswith("bendtrack label my-study"):
         clicked_labels(folder, bendtrack)
-    elif command.startswith("bendtrack track my-study"):
+    elif command.startswith("bendtrack track my-study") or "project.track(" in command:
         exact_results(folder)
         if "videos/" in command:
             logs_in_the_project(folder)
@@ -193,10 +203,11 @@ def run_document(document: str, folder: Path, bendtrack: Bendtrack, installed: b
     names: dict[str, object] = {"__name__": "__main__"}
     for block in blocks(document):
         where = f"{document}:{block.line}"
-        if block.front_door and not hasattr(front_door, "open_project"):
+        if not all(map(is_there, block.needs)):
             continue
         if block.language == "python":
-            exec(compile(block.text, where, "exec"), names)
+            exec(compile(shortened(block.text), where, "exec"), names)
+            by_hand(block.text, folder, bendtrack)
         for command in commands(block) if block.language == "sh" else ():
             if reason_not_to_run(command) is None:
                 run_command(shortened(command), folder, where, bendtrack, installed)
