@@ -37,15 +37,24 @@ class CyclingTrial:
 
     Parameters
     ----------
-    frequency_hz, peak_kpa, cycles : the wave, from 0 to `peak_kpa`, after `rest_s` at 0 and before another
-    angle_max_deg : largest angle of a steady cycle
-    residual_deg : angle at 0 kPa after every cycle
-    hysteresis_ratio : of a steady cycle, to the axes (paper, section on dynamic analysis)
-    lag_s : by how much the pressure follows its reference late
-    peak_sd_deg, ratio_sd : how cycles differ (standard deviations of the largest angle and of the ratio)
-    rest_s : time at 0 kPa before and after
-    first_differs : the first cycle begins at 0 deg and bends less far, as that of a rested actuator
-    seed : draws the differences of the cycles
+    frequency_hz, peak_kpa, cycles : float or int
+        The wave, from 0 to `peak_kpa`, after `rest_s` at 0 and before another.
+    angle_max_deg : float
+        Largest angle of a steady cycle.
+    residual_deg : float
+        Angle at 0 kPa after every cycle.
+    hysteresis_ratio : float
+        Of a steady cycle, to the axes (paper, section on dynamic analysis).
+    lag_s : float
+        By how much the pressure follows its reference late.
+    peak_sd_deg, ratio_sd : float
+        How cycles differ (standard deviations of the largest angle and of the ratio).
+    rest_s : float
+        Time at 0 kPa before and after.
+    first_differs : bool
+        The first cycle begins at 0 deg and bends less far, as that of a rested actuator.
+    seed : int
+        Draws the differences of the cycles.
     """
 
     frequency_hz: float

@@ -32,9 +32,12 @@ class Recording:
 
     Attributes
     ----------
-    log_time_s, log_kpa, reference_kpa : (M,) on the log's clock, from 0
-    frame_time_s, angle_deg : (T,) on the video's clock, from 0; NaN where the angle is missing
-    delay_s : true delay
+    log_time_s, log_kpa, reference_kpa : ndarray
+        (M,) on the log's clock, from 0.
+    frame_time_s, angle_deg : ndarray
+        (T,) on the video's clock, from 0; NaN where the angle is missing.
+    delay_s : float
+        True delay.
     """
 
     log_time_s: FloatArray
@@ -76,9 +79,12 @@ def record(
 
     Parameters
     ----------
-    seed : draws noise and missing frames
-    delay_s : video time - log time; negative when the log began before the camera
-    missing_share : share of frames, each by itself, without an angle
+    seed : int
+        Draws noise and missing frames.
+    delay_s : float
+        Video time - log time; negative when the log began before the camera.
+    missing_share : float
+        Share of frames, each by itself, without an angle.
     """
     log_time_s = np.arange(int(trial.duration_s * LOG_RATE_HZ + 1e-6) + 1) / LOG_RATE_HZ
     noise = np.random.default_rng([seed, 31]).standard_normal(len(log_time_s))

@@ -49,10 +49,13 @@ class HystereticResponse:
 
     Parameters
     ----------
-    pressure_peak_kpa : the largest pressure of the cycles that the ratio is meant for
-    angle_min_deg, angle_max_deg : angle at zero and at the peak, in the steady cycle
-    hysteresis_ratio : area of the steady loop over pressure_peak_kpa * angle_max_deg, from 0 to just under
-        0.5 (angle_max_deg - angle_min_deg) / angle_max_deg
+    pressure_peak_kpa : float
+        The largest pressure of the cycles that the ratio is meant for.
+    angle_min_deg, angle_max_deg : float
+        Angle at zero and at the peak, in the steady cycle.
+    hysteresis_ratio : float
+        Area of the steady loop over pressure_peak_kpa * angle_max_deg, from 0 to just under
+        0.5 (angle_max_deg - angle_min_deg) / angle_max_deg.
 
     Raises
     ------
@@ -90,7 +93,8 @@ class HystereticResponse:
 
         Parameters
         ----------
-        pressure_kpa : (N,) in the order of time, monotonic between samples; what is under 0 counts as 0
+        pressure_kpa : ndarray
+            (N,) in the order of time, monotonic between samples; what is under 0 counts as 0.
         """
         cubic = self._cubic
         x = np.maximum(np.asarray(pressure_kpa, dtype=float) / self.pressure_peak_kpa, 0)

@@ -24,8 +24,10 @@ class StaircaseTrial:
 
     Parameters
     ----------
-    angle_max_deg : steady angle at `peak_kpa`; the actuator begins straight
-    model_rmse_deg : root mean square over the eleven levels of (model - steady angle); None: there is no model
+    angle_max_deg : float
+        Steady angle at `peak_kpa`; the actuator begins straight.
+    model_rmse_deg : float or None
+        Root mean square over the eleven levels of (model - steady angle); None: there is no model.
     """
 
     angle_max_deg: float

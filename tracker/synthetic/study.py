@@ -41,9 +41,11 @@ class SimulatedStudy:
 
     Attributes
     ----------
-    folder : all of it
-    truth : what is in truth.json: "trials" (name: numbers of `CyclingTrial.truth` or `StaircaseTrial.truth`,
-        with design, kind, frequency, pressure, delays), "constant_angle", "dynamic_response", "frames"
+    folder : Path
+        All of it.
+    truth : dict[str, Any]
+        What is in truth.json: "trials" (name: numbers of `CyclingTrial.truth` or `StaircaseTrial.truth`,
+        with design, kind, frequency, pressure, delays), "constant_angle", "dynamic_response", "frames".
     """
 
     folder: Path
@@ -87,10 +89,14 @@ def simulate_study(
 
     Parameters
     ----------
-    seed : draws noise, clocks, missing frames and the differences between cycles
-    designs, frequencies_hz, static : which part of the plan
-    delay_sd_s : standard uncertainty that the study file gives with every delay
-    delay_error : whether the given delays are wrong by draws from that uncertainty, or exact
+    seed : int
+        Draws noise, clocks, missing frames and the differences between cycles.
+    designs, frequencies_hz, static : Sequence[str] or Sequence[float] or bool
+        Which part of the plan.
+    delay_sd_s : float
+        Standard uncertainty that the study file gives with every delay.
+    delay_error : bool
+        Whether the given delays are wrong by draws from that uncertainty, or exact.
 
     Raises
     ------

@@ -16,18 +16,27 @@ class ArcChain:
 
     Parameters
     ----------
-    base_px, arc_px : length of the base and of each arc
-    turn_rad : (N,) turn of each arc, toward the inner side
-    whole_rad : their sum, which carries no rounding: the tip's direction
-    base_xy, direction_rad : where the base begins and its direction, from +x toward +y
-    side : +1 turns clockwise on the screen, -1 counterclockwise
+    base_px, arc_px : float
+        Length of the base and of each arc.
+    turn_rad : ndarray
+        (N,) turn of each arc, toward the inner side.
+    whole_rad : float
+        Their sum, which carries no rounding: the tip's direction.
+    base_xy, direction_rad : tuple of float or float
+        Where the base begins and its direction, from +x toward +y.
+    side : int
+        +1 turns clockwise on the screen, -1 counterclockwise.
 
     Attributes
     ----------
-    s : (P,) where the pieces begin; piece 0 is the base, the last the tip
-    curvature : (P,) 1/px, positive toward the inner side
-    heading : (P,) direction where each piece begins, radians, not wrapped
-    origin, along, inward : (P, 2) where each piece begins, its direction there, and the inner normal there
+    s : ndarray
+        (P,) where the pieces begin; piece 0 is the base, the last the tip.
+    curvature : ndarray
+        (P,) 1/px, positive toward the inner side.
+    heading : ndarray
+        (P,) direction where each piece begins, radians, not wrapped.
+    origin, along, inward : ndarray
+        (P, 2) where each piece begins, its direction there, and the inner normal there.
     """
 
     def __init__(

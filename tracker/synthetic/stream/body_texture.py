@@ -36,10 +36,14 @@ class BodyTexture:
 
     Attributes
     ----------
-    rgba : (V, U, 4) uint8; texel (j, i) is s = `s0` + i / `per_px` and v = -INNER + j / `per_half`
-    s0 : px
-    per_px : texels for a px along the body
-    per_half : texels for half a thickness across it
+    rgba : ndarray
+        (V, U, 4) uint8; texel (j, i) is s = `s0` + i / `per_px` and v = -INNER + j / `per_half`.
+    s0 : float
+        Where the texture begins along the body, px.
+    per_px : float
+        Texels for a px along the body.
+    per_half : float
+        Texels for half a thickness across it.
     """
 
     rgba: ImageArray
@@ -82,11 +86,16 @@ class _Grid:
 
     Attributes
     ----------
-    half : half thickness, px
-    place, inside : see `_chambers`
-    valley : depth of the valley between chambers, 0 to 1
-    lobe : how far each chamber swells at full pressure, relative
-    top, bottom : the outline, in v
+    half : ndarray
+        Half thickness, px.
+    place, inside : ndarray
+        See `_chambers`.
+    valley : ndarray
+        Depth of the valley between chambers, 0 to 1.
+    lobe : ndarray
+        How far each chamber swells at full pressure, relative.
+    top, bottom : ndarray
+        The outline, in v.
     """
 
     s: FloatArray
@@ -112,9 +121,12 @@ def draw_texture(
 
     Parameters
     ----------
-    chain : gives the length and, for the light, the direction at each place
-    pressure : relative to the full one, swells the chambers
-    supersampling : texels wanted for a px
+    chain : Chain
+        Gives the length and, for the light, the direction at each place.
+    pressure : float
+        Relative to the full one, swells the chambers.
+    supersampling : float
+        Texels wanted for a px.
     """
     rng = np.random.default_rng([body.seed, 2])
     grid = _grid(body, chain, pressure, supersampling)

@@ -40,14 +40,18 @@ class Chain(ArcChain):
 
     Parameters
     ----------
-    body, place : shape and place
-    bend_deg : turn from the base's direction to the tip's, positive toward `place.side`
+    body, place : Body or Place
+        Shape and place.
+    bend_deg : float
+        Turn from the base's direction to the tip's, positive toward `place.side`.
 
     Attributes
     ----------
     length_px : from where the body leaves the clamp to its end
-    keypoint_s : (9,) where the `KEYPOINTS` are
-    end_xy : (2,) where it ends
+    keypoint_s : ndarray
+        (9,) where the `KEYPOINTS` are.
+    end_xy : ndarray
+        (2,) where it ends.
     """
 
     def __init__(self, body: Body, place: Place, bend_deg: float) -> None:

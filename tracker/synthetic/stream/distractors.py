@@ -35,9 +35,12 @@ class Painter:
 
     Parameters
     ----------
-    unit_px : larger side of the image / 256
-    shade : the shadow that they throw, or None
-    cover : (H, W) uint8 that gets what they cover, or None
+    unit_px : float
+        Larger side of the image / 256.
+    shade : Shade or None
+        The shadow that they throw, or None.
+    cover : ndarray or None
+        (H, W) uint8 that gets what they cover, or None.
     """
 
     def __init__(

@@ -29,10 +29,14 @@ def draw(
 
     Parameters
     ----------
-    seed : of the stream
-    index : number of the sample in it
-    size_wh : of the image, px
-    families : the words that it may be drawn from: `TRAINING` or `HELD_OUT`
+    seed : int
+        Of the stream.
+    index : int
+        Number of the sample in it.
+    size_wh : tuple of int
+        Of the image, px.
+    families : Families
+        The words that it may be drawn from: `TRAINING` or `HELD_OUT`.
 
     Examples
     --------

@@ -32,9 +32,12 @@ def expose(
 
     Parameters
     ----------
-    image : RGB uint8 (H, W, 3)
-    lit : `light_map`
-    rng : of the noise
+    image : ndarray
+        RGB uint8 (H, W, 3).
+    lit : ndarray
+        `light_map`.
+    rng : numpy.random.Generator
+        Of the noise.
     """
     height, width = image.shape[:2]
     if sensor.blur_px > 0.3:

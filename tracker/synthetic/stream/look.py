@@ -23,22 +23,38 @@ class Body:
 
     Attributes
     ----------
-    seed : of unevenness, grain and flaws
-    length_px : along the midline at rest, and how far it grows when bent: `stretch` x turn x half thickness
-    half_px, taper : half thickness at the base, and the share of it that is lost toward the tip
-    base_share, tip_share : of the straight ends in the length
-    centre, focus, spread : curvature goes as 1 + focus exp(-((u - centre) / spread)^2) along the bend, u in [0, 1]
-    s_turn_deg : turned one way in the first half and back in the second
-    valley : what lies between chambers: "gap", "wave", "saw", "joint" or "none"
-    chambers, depth, gap : their number; depth of a valley in v / 2, its width over the pitch
-    two_sided : valleys on the inner side too
-    swell, uneven : how far a chamber rises at full pressure in v, and the spread of that
-    rim : radius of the rounded edge over the half thickness; 1 is a round tube
-    windings, slant, crossed : fibres wound about it, their number, slant and whether they cross
-    layer : height of the strain layer in v / 2, 0 for none to be seen
-    tip_round : of the tip's corners over the half thickness
-    cap, cap_share : "none", "cap" or "tape" about the tip, and its length over the body's
-    tip_over : where the body overlaps itself the tip's half lies in front
+    seed : int
+        Of unevenness, grain and flaws.
+    length_px : float
+        Along the midline at rest, and how far it grows when bent: `stretch` x turn x half thickness.
+    half_px, taper : float
+        Half thickness at the base, and the share of it that is lost toward the tip.
+    base_share, tip_share : float
+        Of the straight ends in the length.
+    centre, focus, spread : float
+        Curvature goes as 1 + focus exp(-((u - centre) / spread)^2) along the bend, u in [0, 1].
+    s_turn_deg : float
+        Turned one way in the first half and back in the second.
+    valley : str
+        What lies between chambers: "gap", "wave", "saw", "joint" or "none".
+    chambers, depth, gap : int or float
+        Their number; depth of a valley in v / 2, its width over the pitch.
+    two_sided : bool
+        Valleys on the inner side too.
+    swell, uneven : float
+        How far a chamber rises at full pressure in v, and the spread of that.
+    rim : float
+        Radius of the rounded edge over the half thickness; 1 is a round tube.
+    windings, slant, crossed : int or float or bool
+        Fibres wound about it, their number, slant and whether they cross.
+    layer : float
+        Height of the strain layer in v / 2, 0 for none to be seen.
+    tip_round : float
+        Of the tip's corners over the half thickness.
+    cap, cap_share : str or float
+        "none", "cap" or "tape" about the tip, and its length over the body's.
+    tip_over : bool
+        Where the body overlaps itself the tip's half lies in front.
     """
 
     seed: int
@@ -76,13 +92,20 @@ class Surface:
 
     Attributes
     ----------
-    colour, layer_colour, thread_colour, cap_colour : of the body, its strain layer, windings and cap
-    opacity : 1 hides what is behind
-    cavity : how much darker the chambers' cavities shine through
-    wrap : how far light reaches around an edge: 0.1 rubber, 0.6 translucent silicone
-    gloss, shininess : height and exponent of the highlight
-    grain, roughness : of colour (relative) and of the relief (px)
-    pattern : "none", "weave", "layers", "specks", "grade" or "bands"; the last three in the threads' colour
+    colour, layer_colour, thread_colour, cap_colour : Colour
+        Of the body, its strain layer, windings and cap.
+    opacity : float
+        1 hides what is behind.
+    cavity : float
+        How much darker the chambers' cavities shine through.
+    wrap : float
+        How far light reaches around an edge: 0.1 rubber, 0.6 translucent silicone.
+    gloss, shininess : float
+        Height and exponent of the highlight.
+    grain, roughness : float
+        Of colour (relative) and of the relief (px).
+    pattern : str
+        "none", "weave", "layers", "specks", "grade" or "bands"; the last three in the threads' colour.
     """
 
     colour: Colour
@@ -128,10 +151,14 @@ class Scene:
 
     Attributes
     ----------
-    colour, ink, pitch_px, turn_deg, texture : of the background, where it has such
-    distractors, occluders : how many objects lie about, and how many in front of the body
-    clamp_colour, clamp_seed : of the clamp
-    tube_colour, tube_px : of the supply tube; 0 px for none
+    colour, ink, pitch_px, turn_deg, texture : Colour or float
+        Of the background, where it has such.
+    distractors, occluders : int
+        How many objects lie about, and how many in front of the body.
+    clamp_colour, clamp_seed : Colour or int
+        Of the clamp.
+    tube_colour, tube_px : Colour or float
+        Of the supply tube; 0 px for none.
     """
 
     seed: int
@@ -199,10 +226,14 @@ class Look:
 
     Attributes
     ----------
-    size_wh : of the image, px
-    families : that it was drawn from
-    words : what it shows
-    bend_deg : the range that it can be drawn at, toward the side to which it bends under pressure
+    size_wh : tuple of int
+        Of the image, px.
+    families : Families
+        That it was drawn from.
+    words : Words
+        What it shows.
+    bend_deg : tuple of float
+        The range that it can be drawn at, toward the side to which it bends under pressure.
     """
 
     size_wh: tuple[int, int]

@@ -45,11 +45,16 @@ def drawn_look(
 
     Parameters
     ----------
-    seed, index : of the look; neighbours have nothing to do with each other
-    size_wh : of the images, px
-    families : the words that it may be drawn from
-    bend_deg : range that it will be shown at: the body stays in the image over all of it
-    partly_out : how often it does not
+    seed, index : int
+        Of the look; neighbours have nothing to do with each other.
+    size_wh : tuple of int
+        Of the images, px.
+    families : Families
+        The words that it may be drawn from.
+    bend_deg : tuple of float
+        Range that it will be shown at: the body stays in the image over all of it.
+    partly_out : float
+        How often it does not.
     """
     rng = Rng(seed, index, 7)
 

@@ -85,9 +85,12 @@ def solid(
 
     Parameters
     ----------
-    ramp : how much the light differs over it; 0 for one colour, which is quick
-    rounding_px : its rim is darker this far inward
-    cover : (H, W) uint8, gets what is covered by it
+    ramp : float
+        How much the light differs over it; 0 for one colour, which is quick.
+    rounding_px : float
+        Its rim is darker this far inward.
+    cover : ndarray or None
+        (H, W) uint8, gets what is covered by it.
     """
     height, width = image.shape[:2]
     spread = 3 * shade.softness_px + max(map(abs, shade.offset_xy)) if shade else 0.0

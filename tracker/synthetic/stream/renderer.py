@@ -35,13 +35,19 @@ class Sample:
 
     Attributes
     ----------
-    image : RGB uint8 (H, W, 3)
-    midline_xy : (96, 2) px of the image, evenly along the body from where it leaves the clamp to its end
-    keypoints_xy : (9, 2) px, in the order of `KEYPOINTS`
-    visible : (9,) bool; within the image, and nothing lies before it
-    angle_deg : turn from base_2 - base_1 to tip_2 - tip_1 in the image, followed along the body, clockwise on
-        the screen positive; of a tilted plane not the bend that was asked for
-    look : what is shown; `look.words` are its families
+    image : ndarray
+        RGB uint8 (H, W, 3).
+    midline_xy : ndarray
+        (96, 2) px of the image, evenly along the body from where it leaves the clamp to its end.
+    keypoints_xy : ndarray
+        (9, 2) px, in the order of `KEYPOINTS`.
+    visible : ndarray
+        (9,) bool; within the image, and nothing lies before it.
+    angle_deg : float
+        Turn from base_2 - base_1 to tip_2 - tip_1 in the image, followed along the body, clockwise on
+        the screen positive; of a tilted plane not the bend that was asked for.
+    look : Look
+        What is shown; `look.words` are its families.
     """
 
     image: ImageArray

@@ -25,8 +25,10 @@ class Layer:
 
     Attributes
     ----------
-    x0, y0 : its top left pixel
-    rgba : (h, w, 4) uint8, premultiplied
+    x0, y0 : int
+        Its top left pixel.
+    rgba : ndarray
+        (h, w, 4) uint8, premultiplied.
     """
 
     x0: int
@@ -61,8 +63,10 @@ def warped(
 
     Parameters
     ----------
-    tip_over : whether the tip's half is the one in front
-    fine : samples a px, in x and in y
+    tip_over : bool
+        Whether the tip's half is the one in front.
+    fine : int
+        Samples a px, in x and in y.
 
     Returns
     -------
