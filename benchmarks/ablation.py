@@ -4,12 +4,11 @@
     python benchmarks/ablation.py --labels 0                 the same without labels
     python benchmarks/ablation.py --looks 1 --seeds 1 --steps 3 --frames 12      a run to see that it runs
 
-Looks are drawn from the training families, since what is decided by this table must not be decided on held-out ones. A
-network is trained once for each look and seed. Then the film is tracked with all stages, and once with each stage
-switched off (`models.inference.stages.StageSettings`); so is a film of the same actuator in other light before another
-background. The table gives the paired difference in angle RMSE, off minus on, over looks and seeds: mean, standard error
-and range. A stage earns its place where the mean is above two standard errors in one of the columns, or where fewer rows
-are flagged with it.
+Looks are drawn from the training families: what this table decides must not be decided on held-out looks. A network is
+trained once for each look and seed. The film is tracked with all stages, and once with each stage switched off
+(`models.inference.stages.StageSettings`); so is a film of the same actuator in other light before another background.
+The table gives the paired difference in angle RMSE, off minus on, over looks and seeds: mean, standard error and range.
+A stage earns its place where the mean is above two standard errors in one of the columns.
 """
 
 from __future__ import annotations
