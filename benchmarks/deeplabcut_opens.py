@@ -72,7 +72,7 @@ def run(args: argparse.Namespace, out: Path) -> None:
             for path in written:
                 path.unlink()
         elif not written:
-            print(f"{name}: passed over, PyTables is not installed here")
+            print(f"{name}: skipped, PyTables is not installed here")
             continue
         print(f"\n{name}: {report.labelled} labelled frames exported")
         command = [str(args.dlc_python), __file__, "--inside", str(folder.resolve())]

@@ -95,7 +95,7 @@ class Annotations:
     ) -> None:
         self._lock = lock
         self._root = Path(os.path.realpath(project.root))
-        self._use(project)
+        self.project, self.store = project, LabelStore.of(project)
         self._known_settings_mtime = self._settings_mtime()
         self._cache: dict[str, tuple[tuple[_Stamp, ...], VideoFolder]] = {}
         self._cache_lock = threading.Lock()
@@ -105,19 +105,16 @@ class Annotations:
                 f" {os.path.realpath(project.labels_dir)}"
             )
 
-    def _use(self, project: Project) -> None:
-        self.project = project
-        self.store = LabelStore.of(project)
-
     def refresh(self) -> None:
         """Read bendtrack.toml again if it has changed (other commands write it) and is valid."""
         stamp = self._settings_mtime()
         if stamp == self._known_settings_mtime:
             return
         try:
-            self._use(Project.open(self.project.root))
+            project = Project.open(self.project.root)
         except BendtrackError:
             return
+        self.project, self.store = project, LabelStore.of(project)
         self._known_settings_mtime = stamp
         with self._cache_lock:
             self._cache.clear()

@@ -68,7 +68,7 @@ def test_a_file_to_csv(bendtrack, trained_project: Project, video: Path) -> None
     said = ran.err.splitlines()
     assert said[0].startswith("Network: model ")
     assert said[-1].startswith(f"{len(rows)} value")
-    assert f"{sum(passed_over)} frames passed over; capture to value: median" in said[-1]
+    assert f"{sum(passed_over)} frames dropped; capture to value: median" in said[-1]
     # --quiet leaves the values alone.
     quiet = bendtrack("--quiet", "live", trained_project.root, video)
     assert (quiet.status, quiet.err, quiet.out.splitlines()[0]) == (0, "", HEADER)

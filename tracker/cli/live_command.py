@@ -207,7 +207,7 @@ class _Tally:
         rate = f" in {taken_s:.1f} s ({(n - 1) / taken_s:.1f}/s)" if n > 1 else ""
         median, high, most = np.percentile(self.latency_ms, (50, 95, 100))
         return (
-            f"{n} value{'s' if n > 1 else ''}{rate}, {self._passed_over} frames passed over;"
+            f"{n} value{'s' if n > 1 else ''}{rate}, {self._passed_over} frames dropped;"
             f" capture to value: median {median:.1f} ms, 95 % within {high:.1f} ms, at most {most:.1f} ms"
         )
 
