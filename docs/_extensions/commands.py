@@ -5,6 +5,7 @@ The program's words are not repeated here, so that the page cannot say something
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import typer
@@ -59,6 +60,9 @@ def _section(path: tuple[str, ...], command: Any) -> list[str]:
         if record is None or "--help" in parameter.opts:
             continue
         name, text = record
+        if parameter.param_type_name == "argument" or parameter.metavar:
+            # The name says it; `<list[str]>` is for programmers.
+            name = re.sub(r" <[^>]*>$", "", name)
         lines += [f"``{name}``", f"   {_literal(' '.join(text.split())) or name}", ""]
     return lines
 
