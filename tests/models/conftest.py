@@ -1,8 +1,10 @@
-"""Small pictures with known points: four discs of different colours along a bending finger."""
+"""What tests of models share: drawn fingers with known points, rendered films, and the shipped network, loaded once."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,7 +13,12 @@ import numpy as np
 import pytest
 import torch
 
+from bendtrack.models.denoising.registration import shipped_features
+from bendtrack.models.networks.checkpoint import Checkpoint, load_checkpoint
+from bendtrack.models.networks.heatmap_network import FirstStage
+from bendtrack.models.networks.shipped import shipped_network
 from bendtrack.tracker.angle import AngleDefinition
+from bendtrack.tracker.synthetic.stream import TRAINING, Stage, drawn_look, inflation_deg
 from bendtrack.tracker.types import LabelledFrame
 
 KEYPOINTS = ("base_1", "base_2", "tip_1", "tip_2")
@@ -28,7 +35,7 @@ def finger_xy(angle_deg: float) -> np.ndarray:
 
 
 def drawn(angle_deg: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """A picture RGB uint8 (120, 160, 3) of the finger and its points (4, 2)."""
+    """An image RGB uint8 (120, 160, 3) of the finger and its points (4, 2) px."""
     rng = np.random.default_rng(seed)
     xy = finger_xy(angle_deg)
     big = np.full((480, 640, 3), (120, 125, 130), np.uint8)
@@ -48,7 +55,7 @@ def definition() -> AngleDefinition:
 
 @pytest.fixture
 def make_frames(tmp_path: Path) -> Callable[..., list[LabelledFrame]]:
-    """Labelled frames at given angles, written as pictures."""
+    """Labelled frames at given angles, written as images."""
 
     def make(angles_deg: np.ndarray, noise_px: float = 0.0, start: int = 0) -> list[LabelledFrame]:
         rng = np.random.default_rng(start)
@@ -65,7 +72,56 @@ def make_frames(tmp_path: Path) -> Callable[..., list[LabelledFrame]]:
     return make
 
 
+@dataclass(frozen=True)
+class Film:
+    """Frames of one rendered actuator while it bends, and their truth; do not write into them, tests share them.
+
+    Attributes
+    ----------
+    images : ndarray of uint8, shape (N, 300, 400, 3)
+    keypoints_xy : ndarray of float, shape (N, 9, 2)
+        px.
+    angle_deg : ndarray of float, shape (N,)
+    """
+
+    images: np.ndarray
+    keypoints_xy: np.ndarray
+    angle_deg: np.ndarray
+
+
+@pytest.fixture(scope="session")
+def render_film() -> Callable[[int], Film]:
+    """Renders a film of so many frames, once."""
+
+    @cache
+    def render(frames: int) -> Film:
+        look = drawn_look(21, 3, size_wh=(400, 300), families=TRAINING, bend_deg=(0.0, 150.0))
+        stage = Stage(look)
+        samples = [
+            stage.frame(float(bend), noise_seed=i) for i, bend in enumerate(inflation_deg(look, frames))
+        ]
+        return Film(
+            np.stack([sample.picture for sample in samples]),
+            np.stack([sample.keypoints_xy for sample in samples]),
+            np.array([sample.angle_deg for sample in samples]),
+        )
+
+    return render
+
+
+@pytest.fixture(scope="session")
+def shipped() -> Checkpoint:
+    """The shipped network; tests leave it unchanged."""
+    return load_checkpoint(shipped_network("resnet18"))
+
+
+@pytest.fixture(scope="session")
+def features() -> FirstStage:
+    """The features of the shipped network that ends are compared by."""
+    return shipped_features()
+
+
 @pytest.fixture(autouse=True)
 def _one_thread() -> None:
-    """The same sums in the same order everywhere: resuming is tested to the bit. Small pictures gain nothing by two."""
+    """The same sums in the same order everywhere: resuming is tested to the bit. Small images gain nothing by two."""
     torch.set_num_threads(1)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bendtrack.models.denoising.end_regression import fit_end_regression
-from bendtrack.models.denoising.registration import LEAST, shipped_features
+from bendtrack.models.denoising.registration import LEAST
 from bendtrack.models.inference.crops import crop_end, move_ends
 from bendtrack.models.inference.roi import RegionOfInterest, orientations, regions_of_interest
 from bendtrack.models.networks.end_regressor import EndRegressionNetwork, TorchEndRegressor
@@ -29,11 +29,6 @@ ENDS = [KEYPOINTS.index(name) for name in ("base_1", "base_2", "tip_1", "tip_2")
 SIZE_WH = (400, 300)
 
 Film = tuple[list[np.ndarray], np.ndarray, RegionOfInterest]
-
-
-@pytest.fixture(scope="module")
-def features() -> FirstStage:
-    return shipped_features()
 
 
 def film_of(other_light: bool) -> Film:

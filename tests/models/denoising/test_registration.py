@@ -8,20 +8,14 @@ import numpy as np
 import pytest
 
 from bendtrack.models.data.prepared import PreparedFrame, prepare
-from bendtrack.models.denoising.registration import LEAST, MOST, register_ends, shipped_features
+from bendtrack.models.denoising.registration import LEAST, MOST, register_ends
 from bendtrack.models.inference.roi import orientations, regions_of_interest, turned
-from bendtrack.models.networks.heatmap_network import FirstStage
 from bendtrack.tracker.synthetic.stream import KEYPOINTS, TRAINING, Stage, drawn_look, inflation_deg
 
 FRAMES = 16
 REFERENCE = (1, 0, 3, 2)
 ENDS = [KEYPOINTS.index(name) for name in ("base_1", "base_2", "tip_1", "tip_2")]
 VIDEO = ["one"] * FRAMES
-
-
-@pytest.fixture(scope="module")
-def features() -> FirstStage:
-    return shipped_features()
 
 
 @pytest.fixture(scope="module")
