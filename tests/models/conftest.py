@@ -6,6 +6,8 @@ The shipped network is loaded once for all tests; no test changes it.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -19,6 +21,7 @@ from bendtrack.models.networks.checkpoint import Checkpoint, load_checkpoint
 from bendtrack.models.networks.heatmap_network import FirstStage
 from bendtrack.models.networks.shipped import shipped_network
 from bendtrack.tracker.angle import AngleDefinition
+from bendtrack.tracker.synthetic.stream import TRAINING, Renderer, drawn_look, inflation_deg
 from bendtrack.tracker.types import LabelledFrame
 
 KEYPOINTS = ("base_1", "base_2", "tip_1", "tip_2")
@@ -82,6 +85,43 @@ def make_frames(tmp_path: Path) -> Callable[..., list[LabelledFrame]]:
         return frames
 
     return make
+
+
+@dataclass(frozen=True)
+class Film:
+    """Frames of one rendered actuator while it bends, and their truth; do not write into them, tests share them.
+
+    Attributes
+    ----------
+    images : ndarray of uint8, shape (N, 300, 400, 3)
+    keypoints_xy : ndarray of float, shape (N, 9, 2)
+        px.
+    angle_deg : ndarray of float, shape (N,)
+    """
+
+    images: np.ndarray
+    keypoints_xy: np.ndarray
+    angle_deg: np.ndarray
+
+
+@pytest.fixture(scope="session")
+def render_film() -> Callable[[int], Film]:
+    """Renders a film of so many frames, once."""
+
+    @cache
+    def render(frames: int) -> Film:
+        look = drawn_look(21, 3, size_wh=(400, 300), families=TRAINING, bend_deg=(0.0, 150.0))
+        renderer = Renderer(look)
+        samples = [
+            renderer.frame(float(bend), noise_seed=i) for i, bend in enumerate(inflation_deg(look, frames))
+        ]
+        return Film(
+            np.stack([sample.image for sample in samples]),
+            np.stack([sample.keypoints_xy for sample in samples]),
+            np.array([sample.angle_deg for sample in samples]),
+        )
+
+    return render
 
 
 @pytest.fixture(autouse=True)

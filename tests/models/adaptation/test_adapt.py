@@ -10,7 +10,6 @@ import pytest
 
 from bendtrack.models.adaptation import self_training
 from bendtrack.models.adaptation.adapt import register_and_fit
-from bendtrack.models.denoising.registration import shipped_features
 from bendtrack.models.detector import NetworkDetector
 from bendtrack.models.export import build
 from bendtrack.models.inference.affine import stacked
@@ -24,7 +23,7 @@ from bendtrack.models.networks.end_regressor import TorchEndRegressor
 from bendtrack.models.networks.shipped import shipped_network, working_copy
 from bendtrack.tracker.angle import bending_angle
 from bendtrack.tracker.hashing import file_sha256
-from bendtrack.tracker.synthetic.stream import KEYPOINTS, TRAINING, Renderer, drawn_look, inflation_deg
+from bendtrack.tracker.synthetic.stream import KEYPOINTS
 
 FRAMES = 32
 SIZE_WH = (400, 300)
@@ -33,13 +32,10 @@ REFERENCE = (1, 0, 3, 2)
 
 
 @pytest.fixture(scope="module")
-def film():
+def film(render_film):
     """Frames of one actuator while it bends, where its ends are (N, 4, 2) px, and its angle (N,) degrees."""
-    look = drawn_look(21, 3, size_wh=SIZE_WH, families=TRAINING, bend_deg=(0.0, 150.0))
-    stage = Renderer(look)
-    samples = [stage.frame(float(bend), noise_seed=i) for i, bend in enumerate(inflation_deg(look, FRAMES))]
-    truth = np.stack([sample.keypoints_xy[ENDS] for sample in samples])
-    return np.stack([s.image for s in samples]), truth, np.array([s.angle_deg for s in samples])
+    own = render_film(FRAMES)
+    return own.images, own.keypoints_xy[:, ENDS], own.angle_deg
 
 
 def tip_deg(xy: np.ndarray, truth: np.ndarray) -> np.ndarray:
@@ -47,7 +43,7 @@ def tip_deg(xy: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return np.asarray(np.degrees((difference + np.pi) % (2 * np.pi) - np.pi))
 
 
-def test_registered_ends_train_a_regressor_that_corrects_other_frames(film) -> None:
+def test_registered_ends_train_a_regressor_that_corrects_other_frames(film, features) -> None:
     images, truth, _ = film
     (region,) = regions_of_interest(truth, [SIZE_WH] * FRAMES)
     found = truth + np.random.default_rng(0).normal(0, 0.8, truth.shape)
@@ -55,7 +51,7 @@ def test_registered_ends_train_a_regressor_that_corrects_other_frames(film) -> N
     inlier = np.ones(FRAMES // 2, bool)
     inlier[5] = False
     registered, network = register_and_fit(
-        images[probe_frames], found[probe_frames], inlier, region, REFERENCE, shipped_features()
+        images[probe_frames], found[probe_frames], inlier, region, REFERENCE, features
     )
     before, after = (
         tip_deg(found[probe_frames], truth[probe_frames]),
@@ -75,15 +71,12 @@ def test_registered_ends_train_a_regressor_that_corrects_other_frames(film) -> N
     assert tip_deg(corrected, truth[others]).std() < 0.5 * tip_deg(found[others], truth[others]).std()
 
 
-def test_noise_images_give_no_end_regressor(film) -> None:
+def test_noise_images_give_no_end_regressor(film, features) -> None:
     _, truth, _ = film
     (region,) = regions_of_interest(truth, [SIZE_WH] * FRAMES)
     noise = np.random.default_rng(1).integers(0, 255, (FRAMES, SIZE_WH[1], SIZE_WH[0], 3), dtype=np.uint8)
     found = truth + np.random.default_rng(0).normal(0, 0.8, truth.shape)
-    assert (
-        register_and_fit(noise, found, np.ones(FRAMES, bool), region, REFERENCE, shipped_features())[1]
-        is None
-    )
+    assert register_and_fit(noise, found, np.ones(FRAMES, bool), region, REFERENCE, features)[1] is None
 
 
 def test_the_shipped_network_measures_an_actuator_without_labels(film) -> None:

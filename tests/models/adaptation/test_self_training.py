@@ -10,14 +10,11 @@ import torch
 
 from bendtrack.models.adaptation import self_training
 from bendtrack.models.adaptation.self_training import self_train, typical_appearance
-from bendtrack.models.denoising.registration import shipped_features
 from bendtrack.models.inference.crops import CropGeometry
 from bendtrack.models.inference.roi import RegionOfInterest, regions_of_interest
 from bendtrack.models.localization.probe_frames import PseudoLabels
 from bendtrack.models.networks.cascade import Cascade
-from bendtrack.models.networks.checkpoint import Checkpoint, load_checkpoint
-from bendtrack.models.networks.shipped import shipped_network
-from bendtrack.tracker.synthetic.stream import TRAINING, Renderer, drawn_look, inflation_deg
+from bendtrack.models.networks.checkpoint import Checkpoint
 from bendtrack.tracker.types import BoolArray
 
 FRAMES = 24
@@ -26,19 +23,11 @@ NO_NEGATIVES = np.zeros((FRAMES, 2), bool)
 
 
 @pytest.fixture(scope="module")
-def film() -> tuple[np.ndarray, np.ndarray, RegionOfInterest]:
+def film(render_film) -> tuple[np.ndarray, np.ndarray, RegionOfInterest]:
     """Frames (N, H, W, 3) of one actuator while it bends, its keypoints (N, 9, 2) px, and where it is."""
-    look = drawn_look(21, 3, size_wh=SIZE_WH, families=TRAINING, bend_deg=(0.0, 150.0))
-    stage = Renderer(look)
-    samples = [stage.frame(float(bend), noise_seed=i) for i, bend in enumerate(inflation_deg(look, FRAMES))]
-    truth = np.stack([sample.keypoints_xy for sample in samples])
-    (region,) = regions_of_interest(truth, [SIZE_WH] * FRAMES)
-    return np.stack([sample.image for sample in samples]), truth, region
-
-
-@pytest.fixture(scope="module")
-def shipped() -> Checkpoint:
-    return load_checkpoint(shipped_network("resnet18"))
+    own = render_film(FRAMES)
+    (region,) = regions_of_interest(own.keypoints_xy, [SIZE_WH] * FRAMES)
+    return own.images, own.keypoints_xy, region
 
 
 def test_self_training_learns_its_positives_and_leaves_the_source_network_unchanged(
@@ -73,14 +62,13 @@ def test_self_training_learns_its_positives_and_leaves_the_source_network_unchan
     assert all(torch.equal(value, after[name]) for name, value in before.items())
 
 
-def test_an_end_of_atypical_appearance_is_rejected(film) -> None:
+def test_an_end_of_atypical_appearance_is_rejected(film, features) -> None:
     images, truth, region = film
     odd = images.copy()
     x, y = truth[7, -1].astype(int)
     odd[7, max(y - 30, 0) : y + 30, max(x - 30, 0) : x + 30] = (10, 90, 30)  # something covers it
     sure = np.ones(FRAMES, bool)
     sure[3] = False
-    features = shipped_features()
     labels = PseudoLabels(truth, sure, NO_NEGATIVES)
     kept = typical_appearance(odd, labels, region, features)
     assert not kept[[3, 7]].any()

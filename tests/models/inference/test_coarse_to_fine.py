@@ -556,7 +556,7 @@ def test_no_stage_writes_into_its_argument(shift_ends: bool, metadata: Checkpoin
 
 
 def test_the_tracker_writes_into_no_detections_that_it_is_given(metadata: CheckpointMetadata) -> None:
-    """Neither in forward tracking of static and moving keypoints, nor in the backward pass."""
+    """Neither in the forward pass nor in the backward pass."""
 
     class ReadOnlyEstimator(CoarseToFineEstimator):
         def detect(self, frames, geometry):
@@ -568,7 +568,8 @@ def test_the_tracker_writes_into_no_detections_that_it_is_given(metadata: Checkp
         def refine(self, frames, expected, geometry, wanted=None):
             return read_only(super().refine(frames, expected, geometry, wanted))
 
-    truth = np.concatenate([arms(2.0 * np.arange(12)), arms(np.full(8, 22.0))])
+    # Motion, then rest, then a jump after which frames are searched again.
+    truth = np.concatenate([arms(2.0 * np.arange(12)), arms(np.full(8, 22.0)), arms(np.full(4, 150.0))])
     tracker = KeypointTracker(ReadOnlyEstimator(WrongTipLocator(4), ReadOnlyPredictor()), metadata)
     found = tracker.detect([frame_of(xy) for xy in truth])
     np.testing.assert_allclose(found.xy, truth, atol=0.2)

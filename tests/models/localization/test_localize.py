@@ -12,6 +12,7 @@ from bendtrack.models.inference.calibration import Calibration
 from bendtrack.models.inference.coarse_to_fine import CoarseToFineEstimator
 from bendtrack.models.inference.metadata import CheckpointMetadata
 from bendtrack.models.inference.roi import RegionOfInterest
+from bendtrack.models.inference.stages import StageSettings
 from bendtrack.models.localization.base_anchor import BaseAnchoredEstimator
 from bendtrack.models.localization.chain_assembly import assemble_chain
 from bendtrack.models.localization.localize import ACROSS_SD_SHARE, find_actuator
@@ -295,6 +296,31 @@ def test_the_direction_of_both_ends_is_corrected_from_their_edges() -> None:
         off_deg = np.degrees(np.arctan2(across, (true * direction).sum(axis=1)))
         assert np.abs(off_deg).max() < 0.7
         np.testing.assert_allclose(found.xy[:, end].mean(axis=1), predicted[:, end].mean(axis=1), atol=1e-6)
+
+
+def test_stage_edge_orientation() -> None:
+    """The ends' direction is not corrected where the stage is off."""
+    truth = arms()
+    predicted = truth.copy()
+    predicted[:, 3] += 2.0
+    on = Oracle(predicted, np.full((30, 4), 0.6), noise_px=0.0)
+    off = Oracle(predicted, np.full((30, 4), 0.6), noise_px=0.0)
+    object.__setattr__(off, "stages", StageSettings(edge_orientation=False))
+    corrected, uncorrected = (find_actuator(drawn(truth), METADATA, own) for own in (on, off))
+    assert corrected.turn_rad != 0
+    assert uncorrected.turn_rad == 0
+    np.testing.assert_allclose(uncorrected.fixed.xy[0], truth[0, :2], atol=1e-6)
+    assert uncorrected.estimator.stages == off.stages
+
+
+def test_anchoring_writes_into_no_detections_that_it_is_given() -> None:
+    actuator = find_actuator(probe_frames(30), METADATA, Oracle(arms(), np.full((30, 4), 0.6)))
+    arrays = arms(), np.full((30, 4), 0.9), np.zeros((30, 4, 2, 2))
+    for array in (*arrays, actuator.fixed.xy, actuator.fixed.likelihood, actuator.fixed.covariance):
+        array.setflags(write=False)
+    found = actuator.anchored(Detections(*arrays))
+    np.testing.assert_array_equal(arrays[0], arms())
+    np.testing.assert_array_equal(found.xy[:, :2], np.broadcast_to(actuator.fixed.xy, (30, 2, 2)))
 
 
 def test_a_network_trained_on_labels_is_not_corrected() -> None:

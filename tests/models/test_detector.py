@@ -1,0 +1,43 @@
+"""`NetworkDetector.for_video`: which stages without labels are set up. How they compute is tested where they live."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+
+from bendtrack.models import detector as detector_module
+from bendtrack.models.detector import NetworkDetector
+from bendtrack.models.inference.stages import StageSettings
+from bendtrack.models.inference.tta import FlipAugmentedPredictor
+from bendtrack.models.networks.checkpoint import Checkpoint
+from bendtrack.models.networks.shipped import shipped_network
+from bendtrack.tracker.errors import VideoError
+
+
+@pytest.mark.parametrize("off", [None, "flip_augmentation", "end_regression", "self_training"])
+def test_stages_without_labels(off: str | None, shipped: Checkpoint, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each stage is handed to `find_actuator` unless it is off."""
+    handed: list[object] = []
+
+    def find_actuator(probe_frames, metadata, *given):
+        handed.extend(given)
+        raise VideoError("expected nothing more")
+
+    monkeypatch.setattr(detector_module, "find_actuator", find_actuator)
+    stages = StageSettings(**({off: False} if off else {}))
+    estimator = shipped.network.estimator(shipped.candidates)
+    monkeypatch.setattr(
+        detector_module, "_torch_estimator", lambda *given: replace(estimator, stages=given[-1])
+    )
+    detector = NetworkDetector.load(shipped_network("resnet18"), engine="torch", device="cpu", stages=stages)
+    assert detector.stages == stages
+    assert detector.provenance["stages"] == asdict(stages)
+    with pytest.raises(VideoError):
+        detector.for_video(np.zeros((2, 48, 64, 3), np.uint8))
+    own, fit_ends, fit_network = handed
+    assert isinstance(own.refiner, FlipAugmentedPredictor) == (off != "flip_augmentation")
+    assert (fit_ends is None) == (off == "end_regression")
+    assert (fit_network is None) == (off == "self_training")
+    assert own.stages == stages
