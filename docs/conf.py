@@ -33,9 +33,6 @@ extensions = [
 ]
 
 exclude_patterns = ["_build", "examples", ".DS_Store"]
-if not hasattr(bendtrack, "open_project"):
-    # An installation without the front door has nothing to describe there.
-    exclude_patterns.append("reference/front-door.md")
 suppress_warnings = ["config.cache"]
 nitpicky = False
 
