@@ -9,8 +9,6 @@ from pathlib import Path
 
 from sphinx.application import Sphinx
 
-import bendtrack
-
 sys.path.insert(0, str(Path(__file__).parent / "_extensions"))
 
 project = "bendtrack"
