@@ -101,7 +101,7 @@ def test_measure_finds_the_actuator_and_writes_nothing(
     asked = []
 
     def for_video(detector: NetworkDetector, frames: object, progress: object) -> NetworkDetector:
-        asked.append(detector.learns)
+        asked.append(detector.stages.self_training)
         return detector
 
     monkeypatch.setattr(NetworkDetector, "for_video", for_video)

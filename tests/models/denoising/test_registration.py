@@ -160,7 +160,7 @@ def test_an_end_that_is_carried_far_stays_where_it_was(film, features, monkeypat
     zoom = 2 * frames[0].region.refiner_scale
     carried = np.linalg.norm((free - start)[:, 2:].mean(axis=1), axis=1) * zoom
     limit = float(np.median(carried))
-    monkeypatch.setattr("bendtrack.models.denoising.registration.FAR_PX", limit)
+    monkeypatch.setattr("bendtrack.models.denoising.registration.MAX_STEP_PX", limit)
     moved = register_ends(frames, start, known, REFERENCE, VIDEO, features)
     far = carried > limit
     assert far.sum() == FRAMES // 2

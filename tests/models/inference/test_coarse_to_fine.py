@@ -374,7 +374,7 @@ def test_keypoints_move_on_during_dropped_frames(
         tracker.detect(frames[:6])
         before = estimator.refiner.shown
         if is_told:
-            tracker.pass_over(4)
+            tracker.skip_frames(4)
         found = [tracker.detect([frames[i]]).xy[0] for i in (10, 11, 12)]
         np.testing.assert_allclose(found, arms(2.5 * np.array([10, 11, 12])), atol=0.15)
         crops[is_told] = (estimator.refiner.shown - before) // 3

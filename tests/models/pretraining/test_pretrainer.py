@@ -85,7 +85,7 @@ def test_the_result_is_a_checkpoint_like_any_other(backbone: str, tmp_path: Path
     checkpoint = load_checkpoint(tmp_path)
     assert checkpoint.keypoints == KEYPOINTS
     assert checkpoint.backbone == backbone
-    found = checkpoint.detect(draw(9, 0).picture[None])
+    found = checkpoint.detect(draw(9, 0).image[None])
     angle_deg, sd_deg, _ = bending_angle(found.xy, KEYPOINTS, checkpoint.definition, found.covariance)
     assert np.isfinite([angle_deg[0], sd_deg[0]]).all()
     assert (tmp_path / "learning-curve.png").stat().st_size > 5000
@@ -95,8 +95,8 @@ def test_the_result_is_a_checkpoint_like_any_other(backbone: str, tmp_path: Path
 def test_it_is_compiled_with_rendered_images(tmp_path: Path) -> None:
     pretrain(tmp_path, TINY)
     record = build_beside(tmp_path)
-    assert (record["frames_fitted"], record["frames_judged"]) == (16, 16)
-    assert set(record["engines"]) == {"openvino", "openvino-int8"}
+    assert (record.frames_fitted, record.frames_judged) == (16, 16)
+    assert set(record.engines) == {"openvino", "openvino-int8"}
 
 
 def test_only_the_same_settings_are_resumed(tmp_path: Path) -> None:
