@@ -172,4 +172,4 @@ def _compile(folder: Path, reporter: Reporter) -> None:
         drift = f"{name}: {check.drift_px:.3f} px and {check.drift_deg:.3f}° from float32"
         reporter.detail(drift if check.passed else f"{drift}: refused")
     for name, why in record.skipped.items():
-        reporter.detail(f"{name}: not built: {why}")
+        reporter.say(f"{name} is not built: {why}")
