@@ -132,10 +132,10 @@ NOTHING = Result(float("nan"), 0.0, float("nan"), 0.0, 0.0)
 
 
 def judged(
-    film: Film, detector: NetworkDetector, labelled: Sequence[int] = (), steady: bool = False
+    film: Film, detector: NetworkDetector, labelled: Sequence[int] = (), check_jumps: bool = False
 ) -> Result:
     """Track a film and compare with its truth."""
-    table = track(film.path, detector, DEFINITION, check_jumps=steady)
+    table = track(film.path, detector, DEFINITION, check_jumps=check_jumps)
     rest = film.seen.copy()
     rest[list(labelled)] = False
     error = (table.angle_deg - film.angle_deg)[rest]

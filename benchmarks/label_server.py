@@ -19,6 +19,7 @@ import tempfile
 import time
 import uuid
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import cv2
@@ -99,7 +100,9 @@ def main() -> None:
         )
         try:
             assert server.stdout is not None
-            measure(Page(server.stdout.readline().split()[-1]), Path(name), args.clicks)
+            page = Page(server.stdout.readline().split()[-1])
+            with closing(page.connection):
+                measure(page, Path(name), args.clicks)
         finally:
             server.terminate()
             server.communicate()

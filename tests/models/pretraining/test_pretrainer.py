@@ -161,7 +161,7 @@ def test_the_command_stops_and_resumes(bendtrack, tmp_path: Path, monkeypatch: p
     out = tmp_path / "actuators"
     ran = bendtrack("pretrain", out, "--steps", "2", "--stop-after", "0")
     assert (ran.status, ran.err) == (0, "")
-    assert "1 of 2 steps, 48 pictures" in ran.out
+    assert "1 of 2 steps, 48 images" in ran.out
     ran = bendtrack("pretrain", out, "--steps", "2")
     assert ran.status == 2
     assert "add --resume" in ran.err
