@@ -23,7 +23,6 @@ import pandas as pd
 import pytest
 import typer
 
-import bendtrack as front_door
 from bendtrack.tracker.cli import app
 from bendtrack.tracker.results import read_results, write_results
 from bendtrack.tracker.synthetic.trial import read_trial, render_trial
@@ -91,7 +90,7 @@ class Block:
     line : int
         Where it begins in the document, from 1.
     needs : tuple of str
-        What it needs that not every installation has: "front door" (`import bendtrack` has names), or a module.
+        Modules that it needs and that not every installation has.
     """
 
     language: str
@@ -110,7 +109,7 @@ def blocks(document: str) -> Iterator[Block]:
     text = (ROOT / document).read_text(encoding="utf-8")
     for found in _BLOCK.finditer(text):
         line = text.count("\n", 0, found.start()) + 1
-        yield Block(found["language"], found["text"], line, tuple((found["needs"] or "").split(", ")))
+        yield Block(found["language"], found["text"], line, tuple(re.findall(r"\w+", found["needs"] or "")))
 
 
 def commands(block: Block) -> list[str]:
@@ -119,12 +118,6 @@ def commands(block: Block) -> list[str]:
 
 def reason_not_to_run(command: str) -> str | None:
     return next((reason for beginning, reason in NOT_RUN.items() if command.startswith(beginning)), None)
-
-
-def is_there(need: str) -> bool:
-    if need == "front door":
-        return hasattr(front_door, "open_project")
-    return need == "" or find_spec(need) is not None
 
 
 def shortened(command: str) -> str:
@@ -203,7 +196,7 @@ def run_document(document: str, folder: Path, bendtrack: Bendtrack, installed: b
     names: dict[str, object] = {"__name__": "__main__"}
     for block in blocks(document):
         where = f"{document}:{block.line}"
-        if not all(map(is_there, block.needs)):
+        if not all(map(find_spec, block.needs)):
             continue
         if block.language == "python":
             exec(compile(shortened(block.text), where, "exec"), names)
