@@ -1,7 +1,7 @@
 """The ablation table: what each stage of inference is worth, with the same weights.
 
     python benchmarks/ablation.py                            eight looks, two seeds each, 30 labels
-    python benchmarks/ablation.py --labels 0                 the same without labels
+    python benchmarks/ablation.py --labels 0 --looks 16      without labels: nothing is drawn from a seed
     python benchmarks/ablation.py --looks 1 --seeds 1 --steps 3 --frames 12      a run to see that it runs
 
 Looks are drawn from the training families: what this table decides must not be decided on held-out looks. A network is
@@ -63,6 +63,7 @@ WITH_LABELS = (
 WITHOUT_LABELS = (
     "shift_augmentation",
     "end_regression",
+    "backward_pass",
     "flip_augmentation",
     "self_training",
     "edge_orientation",
@@ -183,7 +184,7 @@ def main() -> None:
             if args.labels:
                 moved = before_other_background(in_other_light(look, STREAM), STREAM)
                 films["other"] = filmed(folder / "other.mp4", moved, args.frames // 2)
-            for seed in range(args.seeds):
+            for seed in range(args.seeds if args.labels else 1):
                 own = (
                     rows_with_labels(index - 1, films, seed, folder, args)
                     if args.labels
