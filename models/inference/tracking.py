@@ -1,9 +1,9 @@
 """Keypoint tracking through the frames of one video: the past only says where crops are cut.
 
 Constant-velocity prediction places the crops of the next frames, so the locator is rarely needed. What is found is what
-the crops show, as in single frames. Where a crop does not show its keypoint, the frame is searched as if it were the
-first, until both networks are sure again. Every `CHECK_EVERY` frames the locator checks whether it sees the keypoints
-elsewhere.
+the crops show, as in single frames. Where a crop does not show its keypoint, or shows it far from where it was
+expected, the frame is searched as if it were the first, until both networks are sure again. Every `CHECK_EVERY` frames
+the locator checks whether it sees the keypoints elsewhere.
 """
 
 from __future__ import annotations
@@ -24,6 +24,10 @@ FRAMES_AHEAD = 2
 
 SURE_SHARE = 0.5
 """A peak lower than this share of the reference peak is not accepted without a search."""
+
+SURPRISE_CROP_PX = 8.0
+"""A keypoint found further from where it was expected, in crop px, moved in a way that tracking did not foresee, or is
+something else that looks alike: the frame is searched. In an unbroken video nine of ten frames are within 2 px."""
 
 CHECK_EVERY = 16
 """Frames after which the locator is asked whatever the crops show: a false track ends within half a second."""
@@ -151,7 +155,7 @@ class KeypointTracker:
             mean = updated.get(id(rest), rest)
             mean = mean.including(found.xy[i, k], found.likelihood[i, k], found.covariance[i, k])
             updated[id(rest)] = self._at_rest[k] = mean
-        lost = np.flatnonzero(~self._seen(found, geometry).all(axis=1)).tolist()
+        lost = np.flatnonzero(~self._seen_near(expected, found, geometry).all(axis=1)).tolist()
         if not lost:
             return found
         return _with_frames(found, lost, self._search([frames[i] for i in lost], geometry))
@@ -236,10 +240,16 @@ class KeypointTracker:
                 continue
             after = found.xy[i + 1]
             step = after - found.xy[i + 2] if i + 2 < len(frames) and seen[i + 2] else np.zeros_like(after)
-            again = self._estimator.refine(frames[i : i + 1], (after + step)[None], geometry)
-            if self._seen(again, geometry).all():
+            expected = (after + step)[None]
+            again = self._estimator.refine(frames[i : i + 1], expected, geometry)
+            if self._seen_near(expected, again, geometry).all():
                 found, seen[i] = _with_frames(found, [i], again), True
         return found
+
+    def _seen_near(self, expected: FloatArray, found: Detections, geometry: CropGeometry) -> BoolArray:
+        """Which keypoints (N, K) are seen, and near where they were expected (N, K, 2) px."""
+        off_px = np.linalg.norm(found.xy - expected, axis=2) * geometry.crop_scale
+        return np.asarray(self._seen(found, geometry) & (off_px <= SURPRISE_CROP_PX))
 
     def _seen(self, found: Detections, geometry: CropGeometry) -> BoolArray:
         """Which keypoints (N, K) have a high enough peak and a plausible distance from their reference keypoints."""
