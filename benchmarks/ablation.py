@@ -2,6 +2,7 @@
 
     python benchmarks/ablation.py                            eight looks, two seeds each, 30 labels
     python benchmarks/ablation.py --labels 0 --looks 16      without labels: nothing is drawn from a seed
+    python benchmarks/ablation.py --stage bias_correction --stage end_regression+shift_augmentation      these alone
     python benchmarks/ablation.py --looks 1 --seeds 1 --steps 3 --frames 12      a run to see that it runs
 
 Looks are drawn from the training families: what this table decides must not be decided on held-out looks. A network is
@@ -82,9 +83,9 @@ class Row:
     result: Result
 
 
-def settings_without(stage: str) -> StageSettings:
-    """All stages but one; all for `ALL`."""
-    return ALL_STAGES if stage == ALL else replace(ALL_STAGES, **{stage: False})
+def settings_without(stages: str) -> StageSettings:
+    """All stages but one, or but several joined by `+`; all for `ALL`."""
+    return ALL_STAGES if stages == ALL else replace(ALL_STAGES, **dict.fromkeys(stages.split("+"), False))
 
 
 def rows_with_labels(
@@ -95,16 +96,16 @@ def rows_with_labels(
     model = folder / f"model-{seed}"
     train(labelled, ENDS, DEFINITION, model, TrainingSettings(steps=args.steps, seed=seed))
     frames = [frame.frame for frame in labelled if frame.frame is not None]
-    for off in (ALL, *WITH_LABELS):
+    for off in (ALL, *(args.stage or WITH_LABELS)):
         detector = NetworkDetector.load(model, engine="torch", stages=settings_without(off))
         for light, film in films.items():
             result = judged(film, detector, frames if light == "same" else ())
             yield Row(look_index, seed, off, light, result)
 
 
-def rows_without_labels(look_index: int, film: Film, seed: int) -> Iterator[Row]:
+def rows_without_labels(look_index: int, film: Film, seed: int, args: argparse.Namespace) -> Iterator[Row]:
     """Measure a film without labels with each stage off."""
-    for off in (ALL, *WITHOUT_LABELS):
+    for off in (ALL, *(args.stage or WITHOUT_LABELS)):
         detector = NetworkDetector.load(
             working_copy("resnet18"), engine="torch", stages=settings_without(off)
         )
@@ -167,6 +168,9 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=2, help="trainings of each look")
     parser.add_argument("--labels", type=int, default=30)
     parser.add_argument("--frames", type=int, default=90)
+    parser.add_argument(
+        "--stage", action="append", metavar="STAGE[+STAGE]", help="switch off these only (repeatable)"
+    )
     parser.add_argument("--steps", type=int, help="of a training, fewer than usual")
     args = parser.parse_args()
     rows: list[Row] = []
@@ -188,7 +192,7 @@ def main() -> None:
                 own = (
                     rows_with_labels(index - 1, films, seed, folder, args)
                     if args.labels
-                    else rows_without_labels(index - 1, film, seed)
+                    else rows_without_labels(index - 1, film, seed, args)
                 )
                 for row in own:
                     rows.append(row)
