@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from page_client import credential
 
 SECRET = b"what lies outside the project"
 POINTS = {"base_1": [10.25, 20.5], "base_2": [30.0, 20.75], "tip_1": [50.125, 30.0], "tip_2": [60.0, 45.375]}
@@ -361,6 +362,7 @@ class TestBodies:
         head = (
             f"PUT {study.address(0)} HTTP/1.1\r\nHost: 127.0.0.1:{page.port}\r\nCookie: {page.cookie}\r\n"
             f"Origin: http://127.0.0.1:{page.port}\r\nX-Bendtrack: 1\r\nContent-Type: application/json\r\n"
+            f"X-Bendtrack-Auth: {credential(page.key, 'PUT', study.address(0))}\r\n"
             "Transfer-Encoding: chunked\r\n\r\n"
         ).encode()
         chunk = b"4000\r\n" + b" " * 0x4000 + b"\r\n"

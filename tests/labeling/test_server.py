@@ -13,6 +13,7 @@ import uuid
 import cv2
 import numpy as np
 import pytest
+from page_client import credential, log_in
 
 POINTS = {"base_1": [10.25, 20.5], "base_2": [30.0, 20.75], "tip_1": [50.125, 30.0], "tip_2": [60.0, 45.375]}
 
@@ -281,7 +282,11 @@ def test_suggestions_lie_between_the_labelled_neighbours(study, page) -> None:
 def test_pages_hear_of_each_other_and_of_other_programs(study, page) -> None:
     page.put(0, points=POINTS)
     stream = http.client.HTTPConnection("127.0.0.1", page.port, timeout=20)
-    stream.request("GET", "/api/events", headers={"Cookie": page.cookie})
+    stream.request(
+        "GET",
+        "/api/events",
+        headers={"Cookie": page.cookie, "X-Bendtrack-Auth": credential(page.key, "GET", "/api/events")},
+    )
     events = stream.getresponse()
 
     def heard() -> dict[str, object]:
@@ -368,9 +373,11 @@ def test_the_command_serves_and_comes_back_where_it_was(study, bendtrack) -> Non
         assert process.stdout is not None
         return process, process.stdout.readline().split()[-1]
 
-    def get(address: str, cookie: str = "") -> http.client.HTTPResponse:
+    def get(address: str, cookie: str = "", key: str = "") -> http.client.HTTPResponse:
         connection = http.client.HTTPConnection(address.split("/")[2], timeout=20)
-        connection.request("GET", "/" + address.split("/", 3)[3], headers={"Cookie": cookie})
+        path = "/" + address.partition("#")[0].split("/", 3)[3]
+        headers = {"Cookie": cookie, "X-Bendtrack-Auth": credential(key, "GET", path)}
+        connection.request("GET", path, headers=headers)
         answer = connection.getresponse()
         answer.read()
         connection.close()
@@ -378,11 +385,9 @@ def test_the_command_serves_and_comes_back_where_it_was(study, bendtrack) -> Non
 
     process, address = start()
     try:
-        opened = get(address)
-        assert (opened.status, opened.getheader("Location")) == (303, "/")
-        cookie = str(opened.getheader("Set-Cookie")).split(";")[0]
+        first = log_in(address)
         frames = address.split("?")[0] + "api/frames"
-        assert get(frames, cookie).status == 200
+        assert get(frames, first.cookie, first.key).status == 200
         assert get(address).status == 403  # the token is used up
         process.kill()
         process.wait(20)
@@ -390,9 +395,13 @@ def test_the_command_serves_and_comes_back_where_it_was(study, bendtrack) -> Non
         process, again = start()
         assert again.split("?")[0] == address.split("?")[0]
         assert again != address
-        assert get(frames, cookie).status == 200  # the page goes on with what it has
+        assert get(frames, first.cookie, first.key).status == 401  # each start has a key of its own
+        session = log_in(again)
+        assert get(frames, session.cookie, first.key).status == 401
+        assert get(frames, first.cookie, session.key).status == 401
+        assert get(frames, session.cookie, session.key).status == 200
         listening = http.client.HTTPConnection(address.split("/")[2], timeout=20)
-        listening.request("GET", "/api/events", headers={"Cookie": cookie})
+        listening.request("GET", "/api/events", headers=session.headers("GET", "/api/events"))
         events = listening.getresponse()
         process.send_signal(signal.SIGINT)
         assert b"hello" in events.read()  # a page that listens is let go
