@@ -15,6 +15,7 @@ from ..tracker.errors import LabelError
 from ..tracker.project import Project
 from .annotations import Annotations, ImageFile
 from .auth import AuthMiddleware
+from .connections import BACKLOG, LimitedProtocol
 from .edits import Editor
 from .predictions import Network, Predictions
 from .private_folder import PrivateFolder
@@ -80,7 +81,8 @@ def serve_labelling(
     running = uvicorn.Server(
         uvicorn.Config(
             auth,
-            http="h11",
+            http=LimitedProtocol,
+            backlog=BACKLOG,
             ws="none",
             loop="asyncio",
             log_level="error",
