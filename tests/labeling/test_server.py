@@ -335,6 +335,99 @@ def test_labels_that_cannot_be_read_are_said_and_not_overwritten(study, page) ->
     assert page.put(0, points={"tip_2": [1, 1]}).status == 200
 
 
+AWAY = {
+    "renamed": lambda root: root.rename(root.with_name("elsewhere")),
+    "an empty mount point": lambda root: (root.rename(root.with_name("elsewhere")), root.mkdir()),
+    "another project": lambda root: (
+        root.rename(root.with_name("elsewhere")),
+        shutil.copytree(root.with_name("elsewhere"), root, ignore=shutil.ignore_patterns(".bendtrack")),
+    ),
+    "no settings": lambda root: shutil.copytree(
+        root.rename(root.with_name("elsewhere")), root, ignore=shutil.ignore_patterns("bendtrack.toml")
+    ),
+    "no labeled-data": lambda root: (root / "labeled-data").rename(root.with_name("elsewhere")),
+}
+
+
+@pytest.mark.parametrize("away", AWAY)
+def test_while_the_folder_is_away_nothing_is_lost_or_written(study, page, away) -> None:
+    page.put(0, points=POINTS)
+    edit = {
+        "edit_id": str(uuid.uuid4()),
+        "client_id": "anna",
+        "base_revision": page.get(study.address(1))["revision"],
+        "points": POINTS,
+    }
+    AWAY[away](study.root)
+    there = {path: path.read_bytes() for path in study.root.rglob("*") if path.is_file()}
+    for method, path, body in (
+        ("PUT", study.address(1), edit),
+        ("GET", study.address(1), None),
+        ("GET", "/api/frames", None),
+        ("GET", "/api/summary", None),
+        ("POST", "/api/undo", {"edit_id": str(uuid.uuid4()), "client_id": "anna"}),
+    ):
+        answer = page(method, path, body)
+        assert (answer.status, bool(answer.json["reason"])) == (503, True), (method, path, answer)
+    assert {path: path.read_bytes() for path in study.root.rglob("*") if path.is_file()} == there
+    # It comes back, and the same edit is sent again.
+    if away == "no labeled-data":
+        study.root.with_name("elsewhere").rename(study.root / "labeled-data")
+    else:
+        if study.root.exists():
+            shutil.rmtree(study.root)
+        study.root.with_name("elsewhere").rename(study.root)
+    assert page("PUT", study.address(1), edit).status == 200
+    assert study.saved()[study.image(1)] == POINTS
+    assert page.step("undo").json["frame"]["id"] == study.id(1)
+
+
+def test_a_drive_that_comes_back_under_other_numbers_is_the_same(study, page) -> None:
+    copy = shutil.copytree(study.root, study.root.with_name("copy"))  # another inode, as on another mount
+    study.root.rename(study.root.with_name("elsewhere"))
+    copy.rename(study.root)
+    assert page.put(0, points=POINTS).status == 200
+    assert study.saved() == {study.image(0): POINTS}
+
+
+def test_a_private_folder_that_is_deleted_is_made_anew(study, page) -> None:
+    page.put(0, points=POINTS)
+    shutil.rmtree(study.root / ".bendtrack")
+    assert page.put(1, points=POINTS).status == 200
+    assert set(study.saved()) == {study.image(0), study.image(1)}
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda study: (study.root / ".bendtrack" / "journal.jsonl").mkdir(),
+        lambda study: (study.root / ".bendtrack" / "journal.jsonl").symlink_to(study.root.parent / "rc"),
+        lambda study: study.csv.mkdir(),
+        lambda study: (study.folder / "bendtrack-notes.json").mkdir(),
+    ],
+    ids=["journal is a folder", "journal is a link", "labels are a folder", "notes are a folder"],
+)
+def test_what_cannot_be_written_is_503(study, page, spoil) -> None:
+    (study.root.parent / "rc").write_text("mine\n")
+    edit = {
+        "edit_id": str(uuid.uuid4()),
+        "client_id": "anna",
+        "base_revision": page.get(study.address(1))["revision"],
+        "points": POINTS,
+        "note": "n",
+    }
+    spoil(study)
+    answer = page("PUT", study.address(1), edit)
+    assert (answer.status, bool(answer.json["reason"])) == (503, True)
+    assert (study.root.parent / "rc").read_text() == "mine\n"
+
+
+def test_an_image_that_is_gone_is_404(study, page) -> None:
+    (study.folder / study.image(1)).unlink()
+    body = {"edit_id": str(uuid.uuid4()), "client_id": "anna", "base_revision": 0, "points": POINTS}
+    assert page("PUT", study.address(1), body).status == 404
+
+
 def test_the_summary_says_what_the_labels_are_worth(study, page) -> None:
     nothing = page.get("/api/summary")
     assert nothing["spread"] is None
