@@ -193,8 +193,12 @@ class PageSession:
         self._address = self._address.partition("?")[0]
         return Labeller(page, self.server.root)
 
+    def expect(self, problems: str) -> None:
+        """Take what matches a pattern in the browser's log for expected, too."""
+        self._expected = re.compile(f"{self._expected.pattern}|{problems}")
+
     def start_again(self) -> None:
-        """Start the server anew, and open the address that it prints in a tab of the browser, as `label` does itself."""
+        """Start the server anew, and open the address that it prints in the browser, as `label` does itself."""
         address = self.server.start()
         for context in self._contexts.values():
             tab = context.new_page()
