@@ -4,7 +4,7 @@ The server listens on this machine only. But any page in the user's browser can 
 domain name can be made to resolve to it (DNS rebinding), and browsers send a cookie to every port of this machine. So
 these are checked: the Host, the Origin, a cookie for the page's own files, a signature by the session's key for
 everything of the project, and for changes a header that a foreign page cannot send. A refusal is a status without
-content. Who can do what to whom is in docs/concepts/threat-model.md.
+content. Who can do what to whom is in docs/reference/threat-model.md.
 """
 
 from __future__ import annotations

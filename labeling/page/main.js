@@ -243,7 +243,7 @@ async function start() {
     let text = null;
     let buttons = [];
     if (signedOut || state === "session") {
-      text = "The server of this page has ended, and something else answers in its place. Open the address that bendtrack label prints, in this browser.";
+      text = "The server of this page has ended, and something else answers in its place. Do not reload: open the address that bendtrack label prints, in this browser.";
       if (waiting) text += " Unsent edits are kept and go with it.";
     } else if (state === "disk") text = `Not on disk: ${reason}. Edits are kept here and sent again.`;
     else if (state === "refused") {
