@@ -15,7 +15,7 @@ from pathlib import Path
 
 from ..tracker.atomic import atomic_write_text
 from ..tracker.errors import LabelError, ProjectError, reason
-from ..tracker.links import open_own_file
+from ..tracker.links import open_own_file, refuse_links
 from ..tracker.project import SETTINGS_FILE
 
 try:
@@ -51,7 +51,11 @@ class PrivateFolder:
         self._root = root
         self.path = root / ".bendtrack"
         if self.path.is_symlink() or (self.path.exists() and not self.path.is_dir()):
-            raise ProjectError(f"{self.path}: expected a folder of bendtrack's own, got something else")
+            found = "link" if self.path.is_symlink() else "file"
+            raise ProjectError(
+                f"{self.path}: expected a folder of bendtrack's own, got something else (a {found})"
+            )
+        refuse_links(self.path)  # a junction of Windows
         self.path.mkdir(mode=0o700, exist_ok=True)
         self.path.chmod(0o700)
         with suppress(OSError):
