@@ -15,7 +15,7 @@ from pathlib import Path
 
 from ..tracker.atomic import atomic_write_text
 from ..tracker.errors import LabelError, ProjectError, reason
-from ..tracker.links import open_own_file, refuse_links
+from ..tracker.links import LinkError, open_own_file, refuse_links
 from ..tracker.project import SETTINGS_FILE
 
 try:
@@ -84,6 +84,8 @@ class PrivateFolder:
             identity = _identity(self._root)
             os.stat(self._root / SETTINGS_FILE)
             found = _read_id(self.path)
+        except LinkError:
+            raise  # there, but not to be used
         except OSError as error:
             raise FolderUnreachableError(
                 f"the project's folder cannot be reached ({reason(error)}); is its drive connected, or was it renamed?"
@@ -130,7 +132,7 @@ class PrivateFolder:
     def ports(self) -> list[int]:
         """Return the ports that this project was served on, the oldest first: pages may be waiting there."""
         try:
-            found = json.loads((self.path / "ports.json").read_bytes())
+            found = json.loads(_read_own(self.path / "ports.json"))
         except (OSError, ValueError):
             return []
         return [port for port in found if isinstance(port, int)] if isinstance(found, list) else []
@@ -154,9 +156,15 @@ class PrivateFolder:
 def _read_id(folder: Path) -> str | None:
     """Return the project's id, None where there is none yet."""
     try:
-        return (folder / _ID_FILE).read_text(encoding="ascii", errors="replace")[:64] or None
+        return _read_own(folder / _ID_FILE)[:64].decode("ascii", "replace") or None
     except FileNotFoundError:
         return None
+
+
+def _read_own(path: Path) -> bytes:
+    # As for writing: a named pipe in a project of somebody else's would be waited for.
+    with open(open_own_file(path, os.O_RDONLY), "rb") as file:
+        return file.read()
 
 
 def _identity(folder: Path) -> tuple[int, int]:
