@@ -21,7 +21,7 @@ from playwright.sync_api import Route, expect
 def session(make_session, sample_images: Path, tmp_path_factory: pytest.TempPathFactory) -> PageSession:
     """A server on a project of this file's own, which may answer with refusals."""
     session = make_session(shutil.copytree(sample_images, tmp_path_factory.mktemp("kept") / "study"))
-    session.expect("40[0-9]|413|422|500|503")
+    session.expect("40[0-9]|413|422|500|503|ERR_SOCKET_NOT_CONNECTED")
     return session
 
 
