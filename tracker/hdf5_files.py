@@ -209,6 +209,28 @@ class Hdf5File:
             raise _Refused(f"'{name}': expected one text, got {len(texts)}")
         return texts[0]
 
+    def check_all(self) -> None:
+        """Check every data set of the file, for a library that then reads it.
+
+        Raises
+        ------
+        ValueError
+            One lies in another file, or all together are larger than the limits.
+        """
+        groups, seen = [self.root], {h5py.h5o.get_info(self.root.id).addr}
+        while groups:
+            group = groups.pop()
+            for name in group:
+                item = self.item(group, name)
+                address = h5py.h5o.get_info(item.id).addr
+                if address in seen:
+                    continue
+                seen.add(address)
+                if isinstance(item, h5py.Group):
+                    groups.append(item)
+                elif isinstance(item, h5py.Dataset) and item.shape is not None:
+                    self._checked(item, None)
+
     def _checked(self, source: h5py.Group | h5py.Dataset, name: str | None) -> h5py.Dataset:
         dataset = source if name is None else self.item(source, name)
         if not isinstance(dataset, h5py.Dataset):

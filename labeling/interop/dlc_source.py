@@ -11,13 +11,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from ...tracker.errors import LabelError
 from ..label_table import LabelRow, LabelTable, read_label_table
 from ..store import images_in, label_files
 from .pandas_hdf5 import read_pandas_table
 from .source import Source, SourceVideo
+from .yaml_files import read_yaml
 
 # The folders that DeepLabCut's check_labels fills with images on which the labels are drawn.
 _DRAWN_SUFFIX = "_labeled"
@@ -107,10 +106,7 @@ def _images_folder(label_file: Path, video: str) -> Path:
 def _read_config(path: Path) -> dict[str, Any]:
     if not path.is_file():
         return {}
-    try:
-        config = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise LabelError(f"{path}: expected YAML, got a mistake: {' '.join(str(error).split())}") from error
+    config = read_yaml(path)
     if not isinstance(config, dict):
         raise LabelError(
             f"{path}: expected the settings of a DeepLabCut project, got {type(config).__name__}"
@@ -121,7 +117,7 @@ def _read_config(path: Path) -> dict[str, Any]:
     if bodyparts is not None and not (
         isinstance(bodyparts, list) and all(isinstance(b, str) for b in bodyparts)
     ):
-        raise LabelError(f"{path}: expected bodyparts to be a list of names, got {bodyparts!r}")
+        raise LabelError(f"{path}: expected bodyparts to be a list of names, got {repr(bodyparts)[:60]}")
     scorer = config.get("scorer")
     return {**config, "scorer": None if scorer is None else str(scorer)}
 

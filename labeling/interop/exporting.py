@@ -5,8 +5,6 @@ What each format writes is in its own file.
 
 from __future__ import annotations
 
-import os
-import secrets
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,6 +12,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
+from ...tracker.atomic import atomic_folder
 from ...tracker.errors import LabelError
 from ...tracker.project import Project
 from ...tracker.types import FloatArray
@@ -163,16 +162,8 @@ def new_folder(out: Path) -> Iterator[Path]:
             f"expected a new or an empty folder to export to, got one with something in it: {out}"
         )
     out.parent.mkdir(parents=True, exist_ok=True)
-    staging = out.parent / f".{out.name[:40]}.{secrets.token_hex(6)}.tmp"
-    try:
-        staging.mkdir()
+    with atomic_folder(out) as staging:
         yield staging
-        if out.is_dir():
-            out.rmdir()
-        os.replace(staging, out)
-    except BaseException:
-        shutil.rmtree(staging, ignore_errors=True)
-        raise
 
 
 def copy_images(video: LabelledVideo, folder: Path) -> None:

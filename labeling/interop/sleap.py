@@ -23,8 +23,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ...tracker.atomic import atomic_path
-from ...tracker.errors import LabelError
+from ...tracker.atomic import atomic_path, remove_leftovers
+from ...tracker.errors import LabelError, reason
+from ...tracker.hdf5_files import open_hdf5
 from ...tracker.project import Project
 from ...tracker.project_settings import listed_stem
 from ..label_table import LabelRow
@@ -71,11 +72,12 @@ def open_sleap(path: str | Path, images: str | Path | None = None) -> Source:
     """
     path = Path(path)
     sleap_io = _sleap_io(path)
+    _check_hdf5(path)
     try:
         labels = sleap_io.load_slp(str(path), open_videos=False)
     except Exception as error:  # whatever h5py, json and sleap-io raise at a file that is none
         raise LabelError(
-            f"{path}: expected SLEAP labels (.slp), got a file that does not open as such ({error})"
+            f"{path}: expected SLEAP labels (.slp), got a file that does not open as such ({reason(error)})"
         ) from error
     finder = ImageFinder([Path(images)] if images is not None else [path.resolve().parent])
     by_video = defaultdict(list)
@@ -98,6 +100,18 @@ def open_sleap(path: str | Path, images: str | Path | None = None) -> Source:
         raise LabelError(f"{path}: expected frames that a person labelled, got none")
     keypoints = dict.fromkeys(name for skeleton in labels.skeletons for name in skeleton.node_names)
     return Source(path, tuple(keypoints), None, tuple(videos), (), tuple(skipped))
+
+
+def _check_hdf5(path: Path) -> None:
+    """Refuse a file that asks for far more memory than its size, or takes data sets from other files.
+
+    Raises
+    ------
+    LabelError
+        It does.
+    """
+    with open_hdf5(path, LabelError, "SLEAP labels (.slp)") as file:
+        file.check_all()
 
 
 def _origin(video: Any) -> Any:
@@ -296,6 +310,7 @@ def export_sleap(project: Project, out: str | Path, *, videos: Sequence[str | Pa
         provenance={_WRITER: "labels written by bendtrack"},
     )
     out.parent.mkdir(parents=True, exist_ok=True)
+    remove_leftovers(out.parent, out.stem)
     with atomic_path(out) as temporary:
         embed = False if by_reference else "user+suggestions"
         sleap_io.save_slp(labels, str(temporary), embed=embed, verbose=False)

@@ -116,7 +116,6 @@ def _fields(line: str, delimiter: str) -> list[str]:
 def _is_number(field: str, decimal: str) -> bool:
     text = field if decimal == "." else field.replace(",", ".", 1)
     return len(text) <= _LONGEST_VALUE and bool(_NUMBER.fullmatch(text))
-    )
 
 
 def _is_clock(field: str) -> bool:
