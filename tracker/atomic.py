@@ -156,7 +156,7 @@ def _new_file(target: Path) -> tuple[Path, int | None]:
 
 
 def _locked(path: Path) -> int:
-    """Open a file or folder and lock it until the descriptor is closed or the process ends; OSError if it is already locked."""
+    """Open a file or folder and lock it until the descriptor is closed or the process ends; OSError if it is locked."""
     # A link is not followed, a pipe is not waited for; a folder can be opened for reading only.
     mode = os.O_RDONLY if path.is_dir() else os.O_RDWR
     descriptor = os.open(path, mode | os.O_NOFOLLOW | os.O_NONBLOCK)

@@ -217,6 +217,8 @@ def _cells(values: Any, names: Sequence[str]) -> tuple[dict[tuple[str, str], str
     if not isinstance(values, list) or len(values) not in (0, 3 * len(names)):
         got = len(values) if isinstance(values, list) else str(values)[:40]
         raise LabelError(f"expected {3 * len(names)} numbers as keypoints (x, y, v each), got {got}")
+    if not values:
+        return {}, 0
     if not all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
         raise LabelError("expected numbers as keypoints, got something else")
     cells, n_hidden = {}, 0

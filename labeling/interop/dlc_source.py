@@ -15,7 +15,7 @@ from ...tracker.errors import LabelError
 from ..label_table import LabelRow, LabelTable, read_label_table
 from ..store import images_in, label_files
 from .pandas_hdf5 import read_pandas_table
-from .source import Source, SourceVideo
+from .source import Source, SourceVideo, checked_name
 from .yaml_files import read_yaml
 
 # The folders that DeepLabCut's check_labels fills with images on which the labels are drawn.
@@ -149,7 +149,8 @@ def read_h5_table(path: Path) -> LabelTable:
         raise LabelError(f"{path}: expected columns of scorer, bodyparts and coords, got another table")
     rows = []
     for number, (index, values) in enumerate(zip(table.index, table.values.tolist(), strict=True), start=1):
-        name = [part for text in index for part in text.replace("\\", "/").split("/") if part]
+        parts = (part for text in index for part in checked_name(text).replace("\\", "/").split("/"))
+        name = [part for part in parts if part not in ("", ".")]
         if not name or ".." in name:
             raise LabelError(f"{path} row {number}: expected the name of an image, got '{'/'.join(name)}'")
         cells = {
