@@ -5,7 +5,7 @@
     python benchmarks/fuzz.py --corpus                  # only what failed before, in tests/fuzz/corpus/
 
 Another exception, a read of more than `SLOW_S`, or more than `MEMORY_MB` is a failure: its file is written to --keep,
-from where it belongs into tests/fuzz/corpus/<format>/. The seed makes a run repeatable. Exit status 1: something failed.
+from where it belongs into tests/fuzz/corpus/<format>/. The seed makes a run repeatable. Exit status 1: some failed.
 """
 
 from __future__ import annotations
@@ -342,8 +342,9 @@ def _import(label_format: str) -> Callable[[Path], object]:
             else where
         )
         found = open_labels(where, label_format.removesuffix("-folder"))
-        project = project_of(path.parents[len(path.parents) - 1 - _DEPTH] / "new", found)
-        import_source(found, project)
+        folder = path.parents[len(path.parents) - 1 - _DEPTH]
+        _allowed(lambda: project_of(folder / "made", found))
+        import_source(found, Project.create(folder / "new", keypoints=KEYPOINTS))
 
     return read
 
@@ -486,7 +487,8 @@ def run_one(format_: Format, folder: Path, data: bytes) -> str | None:
     str or None
         What went wrong; None for a result or an error in one line.
     """
-    shutil.rmtree(folder / "new", ignore_errors=True)
+    for made in ("made", "new"):
+        shutil.rmtree(folder / made, ignore_errors=True)
     path = folder / format_.name
     path.write_bytes(data)
     try:

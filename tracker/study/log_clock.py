@@ -171,7 +171,7 @@ def _gaps(times: FloatArray, usual: float) -> NDArray[np.intp]:
 
 def _goes_on(times: FloatArray, values: FloatArray, at: int, usual: float) -> bool:
     """Whether lines fitted to the samples on both sides are continuous if the gap is removed, and not otherwise."""
-    n = max(8, round(0.1 / usual))
+    n = max(8, round(min(0.1 / usual, len(times))))
     before, after = slice(max(0, at + 1 - n), at + 1), slice(at + 1, at + 1 + n)
     a, b = values[before], values[after]
     if len(a) < 8 or len(b) < 8 or np.isnan(a).any() or np.isnan(b).any():
