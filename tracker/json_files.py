@@ -16,7 +16,7 @@ from .errors import BendtrackError, reason
 # Bytes of a file; read, its values take up to thirty times as much memory.
 MAX_BYTES = 2**28
 
-_SURROGATE = re.compile(r"\\u[dD][89abAB]")
+_SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
 
 
 def read_json(path: Path, error: type[BendtrackError], *, finite: bool = True) -> Any:

