@@ -480,8 +480,14 @@ def _training_rows(folder: Path) -> list[dict[str, float]]:
     try:
         with path.open(newline="", encoding="utf-8") as file:
             return [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
-    except (ValueError, TypeError, csv.Error) as error:  # TypeError: a row with more or fewer fields than names
-        raise TrainingError(f"{path}: expected a table of numbers, got a mistake ({reason(error)})") from error
+    except (
+        ValueError,
+        TypeError,
+        csv.Error,
+    ) as error:  # TypeError: a row with more or fewer fields than names
+        raise TrainingError(
+            f"{path}: expected a table of numbers, got a mistake ({reason(error)})"
+        ) from error
 
 
 def _say_start(settings: TrainingSettings, reporter: Reporter) -> None:

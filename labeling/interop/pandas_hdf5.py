@@ -133,9 +133,7 @@ def _labels(file: Hdf5File, dataset: h5py.Dataset, group: h5py.Group) -> list[st
     if values.ndim != 1:
         raise ValueError(f"'{dataset.name}': expected a list of labels, got {values.ndim} dimensions")
     if kind in ("string", "unicode") and values.dtype.kind == "S":
-        encoding = _text(group, "encoding") or "utf-8"
-        if encoding.lower() not in ("utf-8", "utf8", "ascii", "latin-1", "latin1", "cp1252"):
-            raise ValueError(f"expected texts in UTF-8, got '{encoding}'")
+        encoding = _encoding(group)
         return [value.decode(encoding) for value in values.tolist()]
     if kind == "integer" and values.dtype.kind in "iu":
         return [str(value) for value in values.tolist()]
@@ -155,7 +153,7 @@ def _appendable(file: Hdf5File, group: h5py.Group) -> PandasTable:
     columns = _label_list(axes[0][1]) if _is_pair(axes) else []
     if not columns:
         raise ValueError("expected one list of columns")
-    encoding = _text(group, "encoding") or "utf-8"
+    encoding = _encoding(group)
     if records["index"].dtype.kind != "S" or _text(table, "index_kind") != "string":
         raise ValueError("expected names of images as index")
     index = [(value.decode(encoding),) for value in records["index"].tolist()]
@@ -211,6 +209,13 @@ def _text(item: h5py.Group | h5py.Dataset, name: str) -> str:
     if isinstance(value, str):
         return str(value)
     return value.decode("utf-8", errors="replace") if isinstance(value, bytes) else ""
+
+
+def _encoding(group: h5py.Group) -> str:
+    encoding = _text(group, "encoding") or "utf-8"
+    if encoding.lower() not in ("utf-8", "utf8", "ascii", "latin-1", "latin1", "cp1252"):
+        raise ValueError(f"expected texts in UTF-8, got '{encoding[:40]}'")
+    return encoding
 
 
 def _whole(item: h5py.Group, name: str, largest: int) -> int:

@@ -9,13 +9,17 @@ import h5py
 import numpy as np
 import pytest
 
+from bendtrack.studies import analyse_file
 from bendtrack.tracker.errors import BendtrackError, PressureLogError, ResultsError
 from bendtrack.tracker.results import read_results
+from bendtrack.tracker.study.findings import main_findings
+from bendtrack.tracker.study.paper_tables import paper_tables
 from bendtrack.tracker.study.pressure_log import read_pressure_log
 from bendtrack.tracker.study.study_file import read_study
 
 TIME_S = np.arange(0, 40, 0.1)
 LOG = "time_s,pressure_kpa\n" + "".join(f"{n / 100:.2f},{n % 50}\n" for n in range(400))
+NOTED = "time_s,pressure_kpa,note\n" + "".join(f"{n / 100:.2f},{n % 50},\n" for n in range(400))
 
 
 def _study(root: Path, keys: tuple[str, ...]) -> Path:
@@ -37,11 +41,23 @@ def _study(root: Path, keys: tuple[str, ...]) -> Path:
     return root / "study.toml"
 
 
-@pytest.mark.parametrize("keys", [(), ("frequency_hz",), ("pressure_pp_kpa",)])
-def test_keys_that_no_trial_has(bendtrack, tmp_path: Path, keys: tuple[str, ...]) -> None:
-    ran = bendtrack("analyze", _study(tmp_path, keys), "--out", tmp_path / "out")
+def test_a_study_without_nominal_pressures(bendtrack, tmp_path: Path) -> None:
+    ran = bendtrack("analyze", _study(tmp_path, ("frequency_hz",)), "--out", tmp_path / "out")
     assert (ran.status, "Traceback" in ran.err) == (0, False), ran.err
     assert (tmp_path / "out" / "report.html").is_file()
+
+
+@pytest.mark.parametrize("keys", [(), ("pressure_pp_kpa",), ("frequency_hz", "pressure_pp_kpa")])
+def test_keys_that_no_trial_has(tmp_path: Path, keys: tuple[str, ...]) -> None:
+    analysed = analyse_file(_study(tmp_path, keys))
+    assert not analysed.problems
+    assert analysed.results is not None
+    labels = {name: design.label for name, design in analysed.study.designs.items()}
+    assert paper_tables(analysed.results, labels)
+    findings = main_findings(analysed.results, labels)
+    assert any("bends furthest" in sentence for sentence in findings) == (
+        len(keys) == 2 or "pressure_pp_kpa" in keys
+    )
 
 
 @pytest.mark.parametrize(
@@ -49,9 +65,9 @@ def test_keys_that_no_trial_has(bendtrack, tmp_path: Path, keys: tuple[str, ...]
     [
         "# " + "x" * 200_000 + "\n" + LOG,
         '"' + "x" * 200_000 + '"\n' + LOG,
-        LOG.replace("kpa\n", "kpa,note\n", 1).replace("\n0.03,3\n", "\n0.03,3," + "y" * 200_000 + "\n"),
-        LOG.replace("kpa\n", "kpa,note\n", 1).replace("\n0.00,0\n", '\n0.00,0,"' + "y" * 200_000 + '"\n'),
-        LOG.replace("kpa\n", "kpa,note\n", 1).replace("\n0.00,0\n", "\n0.00,0," + "1" * 200_000 + "x\n"),
+        NOTED.replace("\n0.03,3,\n", "\n0.03,3," + "y" * 200_000 + "\n"),
+        NOTED.replace("\n0.00,0,\n", '\n0.00,0,"' + "y" * 200_000 + '"\n'),
+        NOTED.replace("\n0.00,0,\n", "\n0.00,0," + "1" * 200_000 + "x\n"),
     ],
     ids=["comment", "quoted comment", "field", "quoted field", "digits"],
 )
