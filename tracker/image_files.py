@@ -35,6 +35,7 @@ def header_size_wh(contents: bytes) -> tuple[int, int] | None:
     LabelError
         It has more than `MAX_PIXELS`.
     """
+    size_wh: tuple[int, int] | None
     try:
         with Image.open(io.BytesIO(contents)) as image:
             size_wh = image.size

@@ -452,7 +452,7 @@ def _h5_bytes(table: AngleTable) -> bytes:
 
 def _read_h5(path: Path) -> AngleTable:
     with open_hdf5(path, ResultsError, "bendtrack's HDF5") as file:
-        arrays = {name: _floats(name, file.array(file.root, name)) for name in _UNITS}
+        arrays: dict[str, Any] = {name: _floats(name, file.array(file.root, name)) for name in _UNITS}
         flag = file.texts(file.root, "flag", MAX_FLAG_CHARS)
         keypoints = tuple(file.texts(file.root, "keypoints", _MAX_NAME_CHARS))
         fields = parse_json(file.text(file.root, "definition"))

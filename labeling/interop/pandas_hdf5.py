@@ -178,7 +178,7 @@ def _is_pair(axes: Any) -> bool:
 def _label_list(labels: Any) -> list[tuple[str, ...]]:
     if not isinstance(labels, list):
         raise ValueError(f"expected a list of labels, got {type(labels).__name__}")
-    found = [label if isinstance(label, tuple) else (label,) for label in labels]
+    found: list[tuple[Any, ...]] = [label if isinstance(label, tuple) else (label,) for label in labels]
     if not all(isinstance(part, str) for label in found for part in label):
         raise ValueError("expected labels as texts")
     return found
@@ -258,7 +258,7 @@ def plain_pickle(data: bytes) -> Any:
     [(1, 'x')]
     """
     stack: list[Any] = []
-    known: dict[int, Any] = {}
+    known: dict[Any, Any] = {}
     for instruction, argument, _ in pickletools.genops(data):
         name = instruction.name
         if name == "MARK":

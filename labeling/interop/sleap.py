@@ -72,8 +72,8 @@ def open_sleap(path: str | Path, images: str | Path | None = None) -> Source:
     """
     path = Path(path)
     sleap_io = _sleap_io(path)
-    _check_hdf5(path)
     try:
+        _check_hdf5(path)
         labels = sleap_io.load_slp(str(path), open_videos=False)
     except Exception as error:  # whatever h5py, json and sleap-io raise at a file that is none
         raise LabelError(
