@@ -156,7 +156,7 @@ def _appendable(file: Hdf5File, group: h5py.Group) -> PandasTable:
     encoding = _encoding(group)
     if records["index"].dtype.kind != "S" or _text(table, "index_kind") != "string":
         raise ValueError("expected names of images as index")
-    index = [(value.decode(encoding),) for value in records["index"].tolist()]
+    index: list[tuple[str, ...]] = [(value.decode(encoding),) for value in records["index"].tolist()]
     place = {label: number for number, label in enumerate(columns)}
     values = np.full((len(index), len(columns)), np.nan)
     for field in fields[1:]:
