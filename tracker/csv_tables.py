@@ -119,7 +119,7 @@ def spreadsheet_cell(text: str) -> str:
     >>> spreadsheet_cell("=1+2"), spreadsheet_cell("a=b"), spreadsheet_cell("'=x")
     ("'=1+2", 'a=b', "''=x")
     """
-    return _QUOTE + text if text.lstrip(_QUOTE).startswith(_FORMULA_SIGNS) else text
+    return _QUOTE + text if _is_formula(text.lstrip(_QUOTE)) else text
 
 
 def spreadsheet_text(cell: str) -> str:
@@ -140,5 +140,9 @@ def spreadsheet_text(cell: str) -> str:
     >>> spreadsheet_text("'=1+2"), spreadsheet_text("'quoted'")
     ('=1+2', "'quoted'")
     """
-    quoted = cell.startswith(_QUOTE) and cell.lstrip(_QUOTE).startswith(_FORMULA_SIGNS)
-    return cell[1:] if quoted else cell
+    return cell[1:] if cell.startswith(_QUOTE) and _is_formula(cell.lstrip(_QUOTE)) else cell
+
+
+def _is_formula(text: str) -> bool:
+    """Whether text begins as a formula; a sign alone is none."""
+    return len(text) > 1 and text.startswith(_FORMULA_SIGNS)
