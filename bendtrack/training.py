@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from . import model_folders
 from .reporting import SILENT, Reporter
 from .tracker.atomic import atomic_write_text, remove_leftovers
-from .tracker.errors import BendtrackError, CheckpointError, LabelError, TrainingError
+from .tracker.errors import BendtrackError, CheckpointError, LabelError, TrainingError, reason
 from .tracker.extras import training_packages_needed
 from .tracker.links import make_folder
 
@@ -123,7 +123,7 @@ def stored_settings(folder: Path, given: Mapping[str, Any]) -> TrainingSettings:
     path = folder / model_folders.SETTINGS_FILE
     try:
         return TrainingSettings(**{**json.loads(path.read_text(encoding="utf-8")), **given})
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, RecursionError) as error:
         raise TrainingError(f"--resume: expected training settings in {path}, got a damaged file") from error
 
 
@@ -478,8 +478,17 @@ def _training_rows(folder: Path) -> list[dict[str, float]]:
     path = folder / "training.csv"
     if not path.is_file():
         return []
-    with path.open(newline="", encoding="utf-8") as file:
-        return [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            return [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
+    except (
+        ValueError,
+        TypeError,
+        csv.Error,
+    ) as error:  # TypeError: a row with more or fewer fields than names
+        raise TrainingError(
+            f"{path}: expected a table of numbers, got a mistake ({reason(error)})"
+        ) from error
 
 
 def _say_start(settings: TrainingSettings, reporter: Reporter) -> None:

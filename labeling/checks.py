@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 
 from ..tracker.errors import LabelError
+from ..tracker.image_files import decode_image
 from ..tracker.project import Project
 from ..tracker.types import FloatArray, LabelledFrame
 from .notes_file import read_notes
@@ -173,7 +174,10 @@ class _ImageContent:
 
 
 def _read_image(path: Path) -> _ImageContent:
-    image = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_COLOR)
+    try:
+        image = decode_image(path.read_bytes(), cv2.IMREAD_COLOR)
+    except LabelError as error:
+        raise LabelError(f"{path}: {error}") from error
     if image is None:
         raise LabelError(f"{path}: expected an image, got a file that does not open as one")
     return _ImageContent((image.shape[1], image.shape[0]), hashlib.sha256(image.tobytes()).digest())

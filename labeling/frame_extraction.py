@@ -10,6 +10,7 @@ from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from ..tracker.atomic import remove_leftovers
 from ..tracker.errors import BendtrackError, LabelError, PressureLogError, VideoError
 from ..tracker.project import Project
 from ..tracker.study.pressure_log import read_pressure_log
@@ -118,7 +119,9 @@ def extract_frames(
         log = read_pressure_log(log_path)
         report.warnings += [f"{log_path}: {warning}" for warning in log.warnings]
         pressures[path] = PressureSignal(log.time_s, log.pressure_kpa)
+    remove_leftovers(project.root)
     store = LabelStore.of(project)
+    store.remove_leftovers()
     scanned: list[_ScannedVideo] = []
     for path in paths:
         try:

@@ -11,7 +11,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from ..tracker.errors import LabelError
 from ..tracker.hashing import file_sha256
+from ..tracker.image_files import decode_image
 from ..tracker.video import video_stem
 from .frame_descriptors import FrameDescriptor, grey_thumbnail
 from .store import LabelStore, frame_index
@@ -64,7 +66,10 @@ def _all_match(images: Mapping[int, Path], descriptors: Mapping[int, FrameDescri
 
 
 def _matches(path: Path, descriptor: FrameDescriptor) -> bool:
-    grey = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_GRAYSCALE)
+    try:
+        grey = decode_image(path.read_bytes(), cv2.IMREAD_GRAYSCALE)
+    except LabelError:  # larger than any frame
+        return False
     thumbnail = None if grey is None else grey_thumbnail(grey)
     if thumbnail is None or thumbnail.shape != descriptor.thumbnail.shape:
         return False

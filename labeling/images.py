@@ -9,8 +9,8 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from PIL import Image
 
+from ..tracker import image_files
 from ..tracker.errors import LabelError
 from .annotations import ImageFile
 
@@ -23,9 +23,8 @@ _THUMBNAIL_QUALITY = 80
 def header_size_wh(image_file: ImageFile) -> tuple[int, int] | None:
     """Return (width, height) in px from the file's header alone, None where it does not open as an image."""
     try:
-        with Image.open(image_file.path) as image:
-            return image.size
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
+        return image_files.header_size_wh(image_file.path.read_bytes())
+    except (OSError, LabelError):
         return None
 
 
@@ -103,8 +102,10 @@ def decode_image(image_file: ImageFile, mode: int = cv2.IMREAD_COLOR) -> np.ndar
     LabelError
         The image cannot be decoded.
     """
-    raw = np.frombuffer(image_file.path.read_bytes(), np.uint8)
-    image = cv2.imdecode(raw, mode | cv2.IMREAD_IGNORE_ORIENTATION) if raw.size else None
+    try:
+        image = image_files.decode_image(image_file.path.read_bytes(), mode | cv2.IMREAD_IGNORE_ORIENTATION)
+    except LabelError as error:
+        raise LabelError(f"{image_file.path}: {error}") from error
     if image is None:
         raise LabelError(f"{image_file.path}: expected an image, got a file that does not open as one")
-    return np.asarray(image)
+    return image

@@ -16,6 +16,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
+from ..tracker.json_files import parse_json
 from ..tracker.links import open_own_file
 from .frame_state import FrameState
 
@@ -245,7 +246,7 @@ class Journal:
 
     def _take(self, line: bytes) -> None:
         try:
-            record = json.loads(line)
+            record = parse_json(line)
             if "do" in record:
                 entry = Entry.from_json(record)
                 self._settle()  # its "done" was lost in a power failure
@@ -256,7 +257,7 @@ class Journal:
                 self._settle()
             elif self.pending is not None and record.get("dropped") == self.pending.edit_id:
                 self.pending = None
-        except (ValueError, KeyError, TypeError, AttributeError, IndexError):
+        except (ValueError, KeyError, TypeError, AttributeError, IndexError, OverflowError):
             return  # truncated, or of a later version
 
     def _settle(self) -> None:

@@ -151,7 +151,10 @@ def read_label_table(path: Path, scorer: str | None = None) -> LabelTable:
     """
     try:
         # utf-8-sig: spreadsheets write a byte order mark.
-        lines = list(csv.reader(io.StringIO(path.read_bytes().decode("utf-8-sig"), newline=""), strict=True))
+        text = path.read_bytes().decode("utf-8-sig")
+        if "\0" in text:  # no name of a file can hold it
+            raise LabelError(f"{path}: expected a CSV file in UTF-8, got a byte of value 0")
+        lines = list(csv.reader(io.StringIO(text, newline=""), strict=True))
     except (UnicodeDecodeError, csv.Error) as error:
         raise LabelError(f"{path}: expected a CSV file in UTF-8, got {error}") from error
     heads = tuple(line[0].strip() if line else "" for line in lines[:3])
@@ -178,7 +181,8 @@ def read_label_table(path: Path, scorer: str | None = None) -> LabelTable:
         where = f"{path} line {number}"
         if len(line) != len(lines[0]):
             raise LabelError(f"{where}: expected {len(lines[0])} cells, got {len(line)}")
-        name = [part for cell in line[:first] for part in cell.strip().replace("\\", "/").split("/") if part]
+        cells_of_name = (cell.strip().replace("\\", "/") for cell in line[:first])
+        name = [part for cell in cells_of_name for part in cell.split("/") if part not in ("", ".")]
         if not name or ".." in name:
             raise LabelError(f"{where}: expected the name of an image, got '{'/'.join(name)}'")
         cells = _cells(columns, line[first:], scorer, where)

@@ -13,6 +13,7 @@ from typing import Any
 
 from ..tracker.atomic import atomic_write_text
 from ..tracker.errors import LabelError
+from ..tracker.json_files import read_json
 
 NOTES_FILE = "bendtrack-notes.json"
 _FORMAT = "bendtrack-notes-1"
@@ -41,19 +42,25 @@ def read_notes(folder: Path) -> dict[str, NotesEntry]:
     """
     path = folder / NOTES_FILE
     try:
-        document = json.loads(path.read_bytes())
+        document = read_json(path, LabelError)
     except FileNotFoundError:
         return {}
-    except (ValueError, RecursionError) as error:
-        raise LabelError(f"{path}: expected JSON, got a mistake ({error})") from error
     images = document.get("images") if isinstance(document, dict) else None
     if not isinstance(images, dict) or document.get("format") != _FORMAT:
         raise LabelError(f"{path}: expected bendtrack's notes ({_FORMAT}), got other JSON")
     for image, entry in images.items():
-        wrong = not isinstance(entry, dict) or not isinstance(entry.get("not_visible", []), list)
-        if wrong or not isinstance(entry.get("repeat", {}), dict):
+        if not _is_entry(entry):
             raise LabelError(f"{path}: {image}: expected an entry of bendtrack's, got {str(entry)[:60]}")
     return images
+
+
+def _is_entry(entry: Any) -> bool:
+    return (
+        isinstance(entry, dict)
+        and isinstance(names := entry.get("not_visible", []), list)
+        and all(isinstance(name, str) for name in names)
+        and isinstance(entry.get("repeat", {}), dict)
+    )
 
 
 def write_notes(folder: Path, image: str, changes: Mapping[str, Any]) -> None:

@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 
 from ..tracker.errors import LabelError
+from ..tracker.json_files import parse_json
 from ..tracker.links import open_own_file
 from ..tracker.types import Detector
 from .annotations import ImageFile
@@ -226,8 +227,8 @@ class Predictions:
             return
         for line in lines:
             # A line may be truncated where a server was killed.
-            with suppress(ValueError, KeyError, TypeError, AttributeError):
-                self._add_record(json.loads(line))
+            with suppress(ValueError, KeyError, TypeError, AttributeError, OverflowError):
+                self._add_record(parse_json(line))
 
     def _add_record(self, record: dict[str, Any]) -> None:
         found = {name: values for name, values in record["found"].items() if None not in values[:2]}

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from ..tracker.atomic import atomic_write_text
 from ..tracker.errors import LabelError, ProjectError, reason
+from ..tracker.json_files import parse_json
 from ..tracker.links import LinkError, open_own_file, refuse_links
 from ..tracker.project import SETTINGS_FILE
 
@@ -132,10 +133,14 @@ class PrivateFolder:
     def ports(self) -> list[int]:
         """Return the ports that this project was served on, the oldest first: pages may be waiting there."""
         try:
-            found = json.loads(_read_own(self.path / "ports.json"))
+            found = parse_json(_read_own(self.path / "ports.json"))
         except (OSError, ValueError):
             return []
-        return [port for port in found if isinstance(port, int)] if isinstance(found, list) else []
+        return (
+            [port for port in found if type(port) is int and 0 < port < 65536]
+            if isinstance(found, list)
+            else []
+        )
 
     def remember_port(self, port: int) -> None:
         """Store a port for the next start."""

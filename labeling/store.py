@@ -13,8 +13,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from ..tracker.atomic import atomic_write_bytes, atomic_write_text
+from ..tracker.atomic import atomic_write_bytes, atomic_write_text, remove_leftovers
 from ..tracker.errors import LabelError
+from ..tracker.image_files import decode_image
 from ..tracker.links import make_folder
 from ..tracker.project import Project
 from ..tracker.types import FloatArray, ImageArray, LabelledFrame
@@ -228,6 +229,13 @@ class LabelStore:
         atomic_write_bytes(path, data.tobytes())
         return path
 
+    def remove_leftovers(self) -> None:
+        """Remove the temporary files that killed writers left; those that another process is writing stay."""
+        if self.labels_dir.is_dir():
+            for folder in self.labels_dir.iterdir():
+                if folder.is_dir() and not folder.is_symlink():
+                    remove_leftovers(folder)
+
     def _own_table(self, video: str) -> LabelTable:
         path = self.csv_path(video)
         return read_label_table(path, self.scorer) if path.is_file() else LabelTable()
@@ -263,8 +271,10 @@ def image_size_wh(path: Path) -> tuple[int, int] | None:
 
 def encoded_size_wh(contents: bytes) -> tuple[int, int] | None:
     """Return (width, height) in px of an encoded image, None where the bytes do not decode as an image."""
-    data = np.frombuffer(contents, np.uint8)
-    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    try:
+        image = decode_image(contents, cv2.IMREAD_UNCHANGED)
+    except LabelError:  # larger than any frame
+        return None
     return None if image is None else (image.shape[1], image.shape[0])
 
 

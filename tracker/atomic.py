@@ -8,6 +8,8 @@ from __future__ import annotations
 import glob
 import os
 import secrets
+import shutil
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -18,6 +20,9 @@ try:
     import fcntl
 except ImportError:  # Windows, where a file that is open cannot be removed anyway
     fcntl = None  # type: ignore[assignment]
+
+# Where files cannot be locked: the age at which a temporary file belongs to nobody.
+_SURELY_LEFT_S = 86_400.0
 
 
 @contextmanager
@@ -63,10 +68,53 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     _fsync_folder(target.parent)
 
 
-def remove_leftovers(folder: str | Path, stem: str | None = None) -> None:
-    """Remove temporary files that killed writers left, of all files of a folder or of those with one stem.
+@contextmanager
+def atomic_folder(out: str | Path) -> Iterator[Path]:
+    """Yield a temporary folder next to `out`; it is renamed to `out` when the block ends without an error.
 
-    Files that another process is writing stay, and so do files that may not be leftovers.
+    As a file that is being written, it is locked, and `remove_leftovers` keeps it. Leftovers of earlier attempts that
+    were killed are removed first.
+
+    Parameters
+    ----------
+    out : str or Path
+        The final folder; must not exist, or be empty.
+
+    Yields
+    ------
+    Path
+        The temporary folder.
+
+    Raises
+    ------
+    OSError
+        The folder cannot be written.
+    """
+    out = Path(out)
+    remove_leftovers(out.parent, out.name)
+    staging = out.parent / f".{out.name[:40]}.{secrets.token_hex(6)}.tmp"
+    lock: int | None = None
+    try:
+        staging.mkdir()
+        with suppress(OSError):  # a file system without locks
+            lock = None if fcntl is None else _locked(staging)
+        yield staging
+        if out.is_dir():
+            out.rmdir()
+        os.replace(staging, out)
+    except BaseException:
+        shutil.rmtree(staging, ignore_errors=True)
+        raise
+    finally:
+        if lock is not None:
+            os.close(lock)
+
+
+def remove_leftovers(folder: str | Path, stem: str | None = None) -> None:
+    """Remove temporary files and folders that killed writers left, of all files of a folder or of those with one stem.
+
+    Files that another process is writing stay, and so do files that may not be leftovers. Without locks (Windows) a
+    leftover is what nobody has written to for a day.
 
     Parameters
     ----------
@@ -80,9 +128,14 @@ def remove_leftovers(folder: str | Path, stem: str | None = None) -> None:
     name = "*" if stem is None else glob.escape(stem[:40])
     for leftover in Path(folder).glob(f".{name}.{'[0-9a-f]' * 12}.tmp*"):
         with suppress(OSError):
+            if fcntl is None and time.time() - leftover.stat().st_mtime < _SURELY_LEFT_S:
+                continue
             descriptor = None if fcntl is None else _locked(leftover)
             try:
-                leftover.unlink(missing_ok=True)
+                if leftover.is_dir() and not leftover.is_symlink():
+                    shutil.rmtree(leftover)
+                else:
+                    leftover.unlink(missing_ok=True)
             finally:
                 if descriptor is not None:
                     os.close(descriptor)
@@ -111,8 +164,10 @@ def _new_file(target: Path) -> tuple[Path, int | None]:
 
 
 def _locked(path: Path) -> int:
-    """Open a file and lock it until the descriptor is closed or the process ends; OSError if it is already locked."""
-    descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW)
+    """Open a file or folder and lock it until the descriptor is closed or the process ends; OSError if it is locked."""
+    # A link is not followed, a pipe is not waited for; a folder can be opened for reading only.
+    mode = os.O_RDONLY if path.is_dir() else os.O_RDWR
+    descriptor = os.open(path, mode | os.O_NOFOLLOW | os.O_NONBLOCK)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:

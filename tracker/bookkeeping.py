@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import h5py
-
 from .atomic import atomic_write_text
 from .errors import ResultsError
 from .hashing import file_sha256
+from .hdf5_files import open_hdf5
+from .json_files import parse_json
 from .results import FORMAT, json_ready, read_record
 from .video import video_stem
 
@@ -123,15 +123,16 @@ def _owner(json_path: Path, h5_path: Path) -> str | None:
     except ResultsError:
         pass
     try:
-        with h5py.File(h5_path, "r") as file:
-            return _video_of(json.loads(file["provenance"].asstr()[()]))
-    except (OSError, KeyError, ValueError):
+        with open_hdf5(h5_path, ResultsError, "bendtrack's HDF5") as file:
+            return _video_of(parse_json(file.text(file.root, "provenance")))
+    except ResultsError:
         return None
 
 
 def _video_of(record: Any) -> str | None:
     video = record.get("video") if isinstance(record, dict) else None
-    return video.get("sha256") if isinstance(video, dict) else None
+    sha256 = video.get("sha256") if isinstance(video, dict) else None
+    return sha256 if isinstance(sha256, str) else None
 
 
 def record_file(out_dir: str | Path, stem: str, path: Path) -> None:
@@ -157,7 +158,10 @@ def record_file(out_dir: str | Path, stem: str, path: Path) -> None:
     """
     json_path = Path(out_dir) / f"{stem}.json"
     record = read_record(json_path)
-    record["files"][path.suffix[1:]] = file_sha256(path)
+    files = record.get("files")
+    if not isinstance(files, dict):
+        raise ResultsError(f"{json_path}: expected the files' hashes, got {str(files)[:60]}")
+    files[path.suffix[1:]] = file_sha256(path)
     atomic_write_text(json_path, json.dumps(record, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
 
 
@@ -179,7 +183,8 @@ def is_recorded(out_dir: str | Path, stem: str, path: Path) -> bool:
         Whether its hash is the recorded one.
     """
     try:
-        recorded = read_record(Path(out_dir) / f"{stem}.json").get("files", {}).get(path.suffix[1:])
+        files = read_record(Path(out_dir) / f"{stem}.json").get("files")
+        recorded = files.get(path.suffix[1:]) if isinstance(files, dict) else None
         return recorded is not None and bool(recorded == file_sha256(path))
     except (ResultsError, OSError):
         return False

@@ -59,17 +59,19 @@ class BendtrackWarning(UserWarning):
     """A problem was worked around; the results record where."""
 
 
-def reason(error: Exception) -> str:
+def reason(error: BaseException) -> str:
     """Short reason of an operating-system or library error, to be quoted in brackets in a message.
 
     Parameters
     ----------
-    error : Exception
+    error : BaseException
         The error that was caught.
 
     Returns
     -------
     str
-        A few words.
+        A few words: the first line of its message, at most 200 characters that a terminal shows as they are.
     """
-    return getattr(error, "strerror", None) or str(error) or type(error).__name__
+    text = getattr(error, "strerror", None) or str(error)
+    line = next(iter(str(text).strip().splitlines()), "") or type(error).__name__
+    return "".join(char if char.isprintable() else "?" for char in line)[:200]

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from .atomic import atomic_write_bytes
+from .atomic import atomic_write_bytes, remove_leftovers
 from .errors import ResultsError, reason
 from .extras import needed
 from .results import AngleTable
@@ -99,6 +99,7 @@ def write_nwb(table: AngleTable, path: str | Path, *, session_start: datetime.da
             written = Path(folder) / "table.nwb"
             with NWBHDF5IO(str(written), "w") as io:
                 io.write(file)
+            remove_leftovers(out.parent, out.stem)
             atomic_write_bytes(out, written.read_bytes())
     except OSError as error:
         raise ResultsError(f"{out}: cannot be written ({reason(error)})") from error

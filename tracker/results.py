@@ -10,7 +10,7 @@ import io
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,8 +21,11 @@ from numpy.typing import NDArray
 
 from .angle import AngleDefinition
 from .atomic import atomic_path, atomic_write_bytes, atomic_write_text
+from .csv_tables import read_csv_table, spreadsheet_cell, spreadsheet_text
 from .errors import AngleError, ResultsError, reason
 from .hashing import file_sha256
+from .hdf5_files import open_hdf5
+from .json_files import load_json, parse_json
 from .links import make_folder
 from .types import FloatArray
 
@@ -44,6 +47,10 @@ _UNITS = {
 }
 # Decimals in the CSV: finer than any camera, label or clock; the HDF5 holds the full numbers.
 _DECIMALS = {"time_s": 6, "angle_deg": 4, "angle_sd_deg": 4, "x": 3, "y": 3, "likelihood": 4}
+
+# Characters of a flag and of a keypoint's name, which every row of an array in memory makes room for.
+MAX_FLAG_CHARS = 64
+_MAX_NAME_CHARS = 200
 
 
 @dataclass(frozen=True)
@@ -293,9 +300,9 @@ def read_record(path: Path) -> dict[str, Any]:
         The file cannot be read or was not written by bendtrack.
     """
     try:
-        record = json.loads(path.read_text(encoding="utf-8"))
+        record = load_json(path)
     except (OSError, ValueError) as error:
-        raise ResultsError(f"{path}: cannot be read as JSON ({error})") from error
+        raise ResultsError(f"{path}: cannot be read as JSON ({reason(error)})") from error
     if not isinstance(record, dict) or "bendtrack" not in record:
         raise ResultsError(f"{path}: expected bendtrack's results record, got other JSON")
     return record
@@ -336,36 +343,38 @@ def _write_csv(table: AngleTable, path: Path) -> None:
         if decimals is not None:
             values = np.round(frame[column].to_numpy(dtype=float), decimals) + 0.0  # no "-0.000"
             frame[column] = np.where(np.isnan(values), "", np.char.mod(f"%.{decimals}f", values))
+    frame.columns = [spreadsheet_cell(column) for column in frame.columns]
     frame.to_csv(path, index=False, lineterminator="\n")
 
 
 def _read_csv(path: Path) -> AngleTable:
     try:
-        frame = pd.read_csv(path)
-    except (OSError, ValueError) as error:
-        raise ResultsError(f"{path}: cannot be read as a CSV ({str(error).splitlines()[0]})") from error
+        frame = read_csv_table(path)
+    except (OSError, ValueError, OverflowError) as error:
+        raise ResultsError(f"{path}: cannot be read as a CSV ({reason(error)})") from error
     expected = ["frame", "time_s", "angle_deg", "angle_sd_deg", "flag"]
+    frame.columns = [spreadsheet_text(str(column)) for column in frame.columns]
     points = list(frame.columns[len(expected) :])
-    keypoints = tuple(str(column).removesuffix("_x") for column in points[::3])
+    keypoints = tuple(column.removesuffix("_x") for column in points[::3])
     wanted = [f"{name}_{part}" for name in keypoints for part in ("x", "y", "likelihood")]
     if list(frame.columns[: len(expected)]) != expected or points != wanted:
         raise ResultsError(
             f"{path}: expected columns {','.join(expected)},<keypoint>_x,<keypoint>_y,<keypoint>_likelihood "
-            f"got {','.join(map(str, frame.columns))}"
+            f"got {','.join(frame.columns)[:200]}"
         )
     if not np.array_equal(frame["frame"], np.arange(len(frame))):
         raise ResultsError(f"{path}: expected the rows of frames 0 to {len(frame) - 1} in order")
     try:
         numbers = frame.drop(columns=["frame", "flag"]).astype(float)
-    except ValueError as error:
-        raise ResultsError(f"{path}: expected numbers or empty cells ({error})") from error
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ResultsError(f"{path}: expected numbers or empty cells ({reason(error)})") from error
     values = numbers[wanted].to_numpy().reshape(len(frame), len(keypoints), 3)
     definition, provenance = _recorded_definition(path)
     return AngleTable(
         time_s=numbers["time_s"].to_numpy(),
         angle_deg=numbers["angle_deg"].to_numpy(),
         angle_sd_deg=numbers["angle_sd_deg"].to_numpy(),
-        flag=frame["flag"].astype(object).where(frame["flag"].notna(), "").to_numpy(),
+        flag=_flags(path, frame["flag"]),
         xy=values[:, :, :2].copy(),
         likelihood=values[:, :, 2].copy(),
         covariance=np.full((len(frame), len(keypoints), 2, 2), np.nan),
@@ -375,23 +384,49 @@ def _read_csv(path: Path) -> AngleTable:
     )
 
 
+def _flags(path: Path, column: pd.Series) -> NDArray[np.str_]:
+    """Flags of an array that is as wide as the longest of them."""
+    flags = [
+        spreadsheet_text(str(flag)) if known else ""
+        for flag, known in zip(column, column.notna(), strict=True)
+    ]
+    longest = max(map(len, flags), default=0)
+    if longest > MAX_FLAG_CHARS:
+        raise ResultsError(f"{path}: expected flags of at most {MAX_FLAG_CHARS} characters, got {longest}")
+    return np.array(flags, dtype=np.str_)
+
+
 def _recorded_definition(csv_path: Path) -> tuple[AngleDefinition | None, dict[str, Any]]:
     try:
         record = read_record(csv_path.with_suffix(".json"))
     except ResultsError:
         return None, {}
-    if record.get("files", {}).get("csv") != file_sha256(csv_path):
+    files = record.get("files")
+    if not isinstance(files, dict) or files.get("csv") != file_sha256(csv_path):
         return None, {}
     added = ("format", "keypoints", "definition", "files")
     provenance = {key: value for key, value in record.items() if key not in added}
-    return _definition(csv_path, record.get("definition")), provenance
+    return _definition(csv_path, record.get("definition")), _checked_provenance(csv_path, provenance)
 
 
-def _definition(path: Path, fields: dict[str, Any] | None) -> AngleDefinition | None:
+def _checked_provenance(path: Path, provenance: Any) -> dict[str, Any]:
+    """The provenance, in which others look up the video and the warnings."""
+    sound = (
+        isinstance(provenance, dict)
+        and isinstance(provenance.get("video", {}), dict)
+        and isinstance(warnings := provenance.get("warnings", []), list)
+        and all(isinstance(warning, str) for warning in warnings)
+    )
+    if not sound:
+        raise ResultsError(f"{path}: expected bendtrack's provenance, got {str(provenance)[:60]}")
+    return dict(provenance)
+
+
+def _definition(path: Path, fields: Any) -> AngleDefinition | None:
     try:
         return None if fields is None else AngleDefinition(**fields)
-    except (TypeError, AngleError) as error:
-        raise ResultsError(f"{path}: its angle definition cannot be read ({error})") from error
+    except (TypeError, ValueError, AttributeError, AngleError) as error:
+        raise ResultsError(f"{path}: its angle definition cannot be read ({reason(error)})") from error
 
 
 def _h5_bytes(table: AngleTable) -> bytes:
@@ -417,15 +452,19 @@ def _h5_bytes(table: AngleTable) -> bytes:
 
 
 def _read_h5(path: Path) -> AngleTable:
-    try:
-        with h5py.File(path, "r") as file:
-            arrays = {name: file[name][()] for name in _UNITS}
-            flag = file["flag"].asstr()[()]
-            keypoints = tuple(file["keypoints"].asstr()[()])
-            fields = json.loads(file["definition"].asstr()[()])
-            provenance = json.loads(file["provenance"].asstr()[()])
-    except (OSError, KeyError, ValueError) as error:
-        raise ResultsError(f"{path}: cannot be read as bendtrack's HDF5 ({error})") from error
-    return AngleTable(
-        **arrays, flag=flag, keypoints=keypoints, definition=_definition(path, fields), provenance=provenance
+    with open_hdf5(path, ResultsError, "bendtrack's HDF5") as file:
+        arrays: dict[str, Any] = {name: _floats(name, file.array(file.root, name)) for name in _UNITS}
+        flag = file.texts(file.root, "flag", MAX_FLAG_CHARS)
+        keypoints = tuple(file.texts(file.root, "keypoints", _MAX_NAME_CHARS))
+        fields = parse_json(file.text(file.root, "definition"))
+        provenance = parse_json(file.text(file.root, "provenance"))
+        table = AngleTable(**arrays, flag=np.array(flag, dtype=np.str_), keypoints=keypoints, definition=None)
+    return replace(
+        table, definition=_definition(path, fields), provenance=_checked_provenance(path, provenance)
     )
+
+
+def _floats(name: str, values: np.ndarray) -> FloatArray:
+    if values.dtype.kind not in "fiu":
+        raise ValueError(f"expected numbers as '{name}', got {values.dtype}")
+    return values.astype(np.float64, copy=False)

@@ -13,10 +13,13 @@ from typing import Any, get_args
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
-from .errors import BendtrackError
+from .errors import BendtrackError, reason
 
 # TOML names of what pydantic calls by its Python name.
 _IN_TOML = {"dict_type": "a [section]", "model_type": "a [section]", "tuple_type": "a list"}
+
+# A study of a thousand trials has 0.3 MB.
+MAX_BYTES = 2**24
 
 
 class Section(BaseModel):
@@ -43,18 +46,34 @@ def toml_text(path: Path, error: type[BendtrackError]) -> str:
     Raises
     ------
     error
-        Not UTF-8, or not TOML (with the line).
+        Not UTF-8, not TOML (with the line), or too large.
     OSError
         The file cannot be read.
     """
+    size = path.stat().st_size
+    if size > MAX_BYTES:
+        raise error(f"{path}: expected settings of at most {MAX_BYTES / 1e6:.0f} MB, got {size / 1e6:.1f} MB")
     try:
         text = path.read_bytes().decode("utf-8-sig").replace("\r\n", "\n")
-        tomllib.loads(text)
+        value = tomllib.loads(text)
     except UnicodeDecodeError as mistake:
         raise error(f"{path}: expected UTF-8 text, got a byte that is not at {mistake.start}") from mistake
-    except tomllib.TOMLDecodeError as mistake:
-        raise error(f"{path}: expected TOML, got a mistake: {mistake}") from mistake
+    except RecursionError as mistake:
+        raise error(f"{path}: expected TOML, got one nested too deep") from mistake
+    except ValueError as mistake:  # TOMLDecodeError, and what int() and datetime() say of their texts
+        raise error(f"{path}: expected TOML, got a mistake: {reason(mistake)}") from mistake
+    if "\\u0000" in text.lower() and _holds_nul(value):
+        raise error(f"{path}: expected text, got a character of value 0 in it")
     return text
+
+
+def _holds_nul(value: Any) -> bool:
+    """Whether a text in nested sections and lists holds the character that no file name can hold."""
+    if isinstance(value, dict):
+        return any(_holds_nul(item) for pair in value.items() for item in pair)
+    if isinstance(value, list):
+        return any(map(_holds_nul, value))
+    return isinstance(value, str) and "\0" in value
 
 
 def validation_message(error: ValidationError, model: type[BaseModel]) -> str:

@@ -24,11 +24,12 @@ from typing import Any
 import numpy as np
 
 from ...tracker.errors import LabelError
+from ...tracker.json_files import read_json
 from ...tracker.project import Project
 from ...tracker.types import FloatArray
 from ..label_table import LabelRow
 from .exporting import ExportReport, copy_images, labelled_videos, new_folder, skeleton_edges
-from .source import ImageFinder, Source, SourceVideo, distinct_names, foreign_path
+from .source import ImageFinder, Source, SourceVideo, checked_name, distinct_names, foreign_path
 
 _ACTUATOR = "actuator"  # the supercategory of our categories
 _ANNOTATIONS, _IMAGES = "annotations", "images"
@@ -122,10 +123,7 @@ def _holds_keypoints(file: Path) -> bool:
 
 
 def _document(file: Path) -> dict[str, Any]:
-    try:
-        document = json.loads(file.read_bytes().decode("utf-8-sig"))
-    except (ValueError, RecursionError) as error:
-        raise LabelError(f"{file}: expected JSON, got a mistake ({error})") from error
+    document = read_json(file, LabelError, finite=False)
     if not isinstance(document, dict):
         raise LabelError(f"{file}: expected COCO keypoints, got a JSON {type(document).__name__}")
     return document
@@ -147,18 +145,18 @@ def _read(file: Path, found: _Found) -> bool:
                 )
             if len(set(names)) < len(names):
                 raise LabelError(f"{file}: expected distinct keypoints, got {', '.join(names)}")
-            kinds[category.get("id")] = category
+            kinds[_id(category, "id", file)] = category
             found.keypoints |= dict.fromkeys(names)
     if not kinds:
         raise LabelError(f"{file}: expected COCO keypoints, got no category with keypoints")
     by_image = defaultdict(list)
     for annotation in annotations:
-        by_image[annotation.get("image_id")].append(annotation)
+        by_image[_id(annotation, "image_id", file)].append(annotation)
     for image in images:
         written = image.get("file_name")
         if not isinstance(written, str) or not foreign_path(written).name:
             raise LabelError(f"{file}: expected every image to have a file_name, got {str(image)[:60]}")
-        found.images.append(_image(written, by_image.pop(image.get("id"), []), kinds, file, found))
+        found.images.append(_image(written, by_image.pop(_id(image, "id", file), []), kinds, file, found))
     if by_image:
         found.skipped.append(
             f"{file.name}: {sum(map(len, by_image.values()))} annotations of images that it does not list"
@@ -173,6 +171,13 @@ def _entries(document: Mapping[str, Any], key: str, file: Path) -> list[dict[str
     return value
 
 
+def _id(entry: Mapping[str, Any], key: str, file: Path) -> int | str | float | None:
+    value = entry.get(key)
+    if isinstance(value, list | dict):
+        raise LabelError(f"{file}: expected {key} to be a number or a text, got {str(value)[:40]}")
+    return value
+
+
 def _image(
     written: str,
     annotations: Sequence[Mapping[str, Any]],
@@ -182,7 +187,7 @@ def _image(
 ) -> _CocoImage:
     labelled = []
     for annotation in annotations:
-        kind = kinds.get(annotation.get("category_id"))
+        kind = kinds.get(_id(annotation, "category_id", file))
         if kind is None:
             continue  # a box or an outline without points
         where = f"{file.name} annotation {annotation.get('id')}"
@@ -192,7 +197,7 @@ def _image(
             found.skipped.append(f"{written}: {where}: {error}")
             continue
         if cells:
-            labelled.append((cells, n_hidden, str(kind.get("name", "")), where))
+            labelled.append((cells, n_hidden, _category_name(kind), where))
     if len(labelled) > 1:
         found.skipped.append(f"{written}: expected one actuator in each image, got {len(labelled)}")
     if len(labelled) != 1:
@@ -202,11 +207,18 @@ def _image(
     return _CocoImage(foreign_path(written), written, cells, category, where)
 
 
+def _category_name(kind: Mapping[str, Any]) -> str:
+    """Name of a category, which becomes part of a folder's name."""
+    return checked_name(str(kind.get("name", ""))).strip()
+
+
 def _cells(values: Any, names: Sequence[str]) -> tuple[dict[tuple[str, str], str], int]:
     """Return the label cells of one annotation, and the number of its hidden points."""
     if not isinstance(values, list) or len(values) not in (0, 3 * len(names)):
         got = len(values) if isinstance(values, list) else str(values)[:40]
         raise LabelError(f"expected {3 * len(names)} numbers as keypoints (x, y, v each), got {got}")
+    if not values:
+        return {}, 0
     if not all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
         raise LabelError("expected numbers as keypoints, got something else")
     cells, n_hidden = {}, 0
@@ -223,7 +235,7 @@ def _number(value: int | float) -> str:
     try:
         return repr(float(value))
     except OverflowError:
-        return str(value)
+        return "inf"  # refused with the frame's name, as every number that is not finite
 
 
 def _videos(found: _Found, default: str, finder: ImageFinder, ours: bool) -> list[SourceVideo]:
@@ -241,7 +253,9 @@ def _videos(found: _Found, default: str, finder: ImageFinder, ours: bool) -> lis
         if len(shown[folder]) > 1:
             actuator = image.category
             if actuator is not None:
-                folder = folder.with_name(f"{folder.name}_{actuator.replace('/', '_')}")
+                folder = folder.with_name(
+                    f"{folder.name}_{PurePosixPath(foreign_path(actuator)).as_posix().replace('/', '_')}"
+                )
         groups[folder, actuator].append(image)
     videos = distinct_names(folder for folder, _ in groups)
     return [

@@ -5,17 +5,18 @@ Importing what was read is in `importing.py`.
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
-
-import yaml
 
 from ...tracker.errors import LabelError
 from ..label_table import LabelRow, LabelTable, read_label_table
 from ..store import images_in, label_files
-from .source import Source, SourceVideo
+from .pandas_hdf5 import read_pandas_table
+from .source import Source, SourceVideo, checked_name
+from .yaml_files import read_yaml
 
 # The folders that DeepLabCut's check_labels fills with images on which the labels are drawn.
 _DRAWN_SUFFIX = "_labeled"
@@ -105,10 +106,7 @@ def _images_folder(label_file: Path, video: str) -> Path:
 def _read_config(path: Path) -> dict[str, Any]:
     if not path.is_file():
         return {}
-    try:
-        config = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise LabelError(f"{path}: expected YAML, got a mistake: {' '.join(str(error).split())}") from error
+    config = read_yaml(path)
     if not isinstance(config, dict):
         raise LabelError(
             f"{path}: expected the settings of a DeepLabCut project, got {type(config).__name__}"
@@ -119,7 +117,7 @@ def _read_config(path: Path) -> dict[str, Any]:
     if bodyparts is not None and not (
         isinstance(bodyparts, list) and all(isinstance(b, str) for b in bodyparts)
     ):
-        raise LabelError(f"{path}: expected bodyparts to be a list of names, got {bodyparts!r}")
+        raise LabelError(f"{path}: expected bodyparts to be a list of names, got {repr(bodyparts)[:60]}")
     scorer = config.get("scorer")
     return {**config, "scorer": None if scorer is None else str(scorer)}
 
@@ -129,7 +127,7 @@ def _read(path: Path, scorer: str | None) -> LabelTable:
 
 
 def read_h5_table(path: Path) -> LabelTable:
-    """Read the labels of DeepLabCut's .h5, which is a pandas table written by PyTables.
+    """Read the labels of DeepLabCut's .h5, which is a pandas table written by PyTables. Nothing in it is unpickled.
 
     Parameters
     ----------
@@ -144,30 +142,21 @@ def read_h5_table(path: Path) -> LabelTable:
     Raises
     ------
     LabelError
-        PyTables is not installed, or the file is not one of DeepLabCut's.
+        The file is not one of DeepLabCut's, or holds a pickle of anything but names.
     """
-    import pandas as pd
-
-    try:
-        frame = pd.read_hdf(path)
-    except ImportError as error:
-        raise LabelError(
-            f"{path}: expected PyTables to read .h5 labels, got none: install bendtrack[dlc-h5], "
-            "or write the CSV in DeepLabCut (Edit labels, save)"
-        ) from error
-    except (OSError, ValueError, KeyError) as error:
-        raise LabelError(f"{path}: expected DeepLabCut's labels in HDF5, got {error}") from error
-    if not isinstance(frame, pd.DataFrame) or list(frame.columns.names) != ["scorer", "bodyparts", "coords"]:
+    table = read_pandas_table(path)
+    if table.names != ("scorer", "bodyparts", "coords"):
         raise LabelError(f"{path}: expected columns of scorer, bodyparts and coords, got another table")
     rows = []
-    heads: list[Any] = list(frame.columns)
-    for number, (index, values) in enumerate(frame.iterrows(), start=1):
-        parts: Mapping[int, str] | tuple[str, ...] = index if isinstance(index, tuple) else (str(index),)
-        name = [p for part in parts for p in str(part).replace("\\", "/").split("/") if p]
+    for number, (index, values) in enumerate(zip(table.index, table.values.tolist(), strict=True), start=1):
+        parts = (part for text in index for part in checked_name(text).replace("\\", "/").split("/"))
+        name = [part for part in parts if part not in ("", ".")]
+        if not name or ".." in name:
+            raise LabelError(f"{path} row {number}: expected the name of an image, got '{'/'.join(name)}'")
         cells = {
-            (str(body_part), str(coordinate)): repr(float(value))
-            for (_, body_part, coordinate), value in zip(heads, values, strict=True)
-            if value == value
+            (body_part, coordinate): repr(value)
+            for (_, body_part, coordinate), value in zip(table.columns, values, strict=True)
+            if not math.isnan(value)
         }
         rows.append(LabelRow(name[-1], cells, name[-2] if len(name) > 1 else None, f"{path} row {number}"))
-    return LabelTable(tuple(dict.fromkeys(str(part) for _, part, _ in heads)), tuple(rows))
+    return LabelTable(tuple(dict.fromkeys(part for _, part, _ in table.columns)), tuple(rows))

@@ -5,8 +5,6 @@ What each format writes is in its own file.
 
 from __future__ import annotations
 
-import os
-import secrets
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,6 +12,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
+from ...tracker.atomic import atomic_folder
 from ...tracker.errors import LabelError
 from ...tracker.links import make_folder, refuse_links
 from ...tracker.project import Project
@@ -165,16 +164,8 @@ def new_folder(out: Path) -> Iterator[Path]:
         )
     refuse_links(out)
     make_folder(out.parent)
-    staging = out.parent / f".{out.name[:40]}.{secrets.token_hex(6)}.tmp"
-    try:
-        staging.mkdir()
+    with atomic_folder(out) as staging:
         yield staging
-        if out.is_dir():
-            out.rmdir()
-        os.replace(staging, out)
-    except BaseException:
-        shutil.rmtree(staging, ignore_errors=True)
-        raise
 
 
 def copy_images(video: LabelledVideo, folder: Path) -> None:

@@ -23,8 +23,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ...tracker.atomic import atomic_path
-from ...tracker.errors import LabelError
+from ...tracker.atomic import atomic_path, remove_leftovers
+from ...tracker.errors import LabelError, reason
+from ...tracker.hdf5_files import open_hdf5
 from ...tracker.links import make_folder
 from ...tracker.project import Project
 from ...tracker.project_settings import listed_stem
@@ -73,10 +74,11 @@ def open_sleap(path: str | Path, images: str | Path | None = None) -> Source:
     path = Path(path)
     sleap_io = _sleap_io(path)
     try:
+        _check_hdf5(path)
         labels = sleap_io.load_slp(str(path), open_videos=False)
     except Exception as error:  # whatever h5py, json and sleap-io raise at a file that is none
         raise LabelError(
-            f"{path}: expected SLEAP labels (.slp), got a file that does not open as such ({error})"
+            f"{path}: expected SLEAP labels (.slp), got a file that does not open as such ({reason(error)})"
         ) from error
     finder = ImageFinder([Path(images)] if images is not None else [path.resolve().parent])
     by_video = defaultdict(list)
@@ -99,6 +101,18 @@ def open_sleap(path: str | Path, images: str | Path | None = None) -> Source:
         raise LabelError(f"{path}: expected frames that a person labelled, got none")
     keypoints = dict.fromkeys(name for skeleton in labels.skeletons for name in skeleton.node_names)
     return Source(path, tuple(keypoints), None, tuple(videos), (), tuple(skipped))
+
+
+def _check_hdf5(path: Path) -> None:
+    """Refuse a file that asks for far more memory than its size, or takes data sets from other files.
+
+    Raises
+    ------
+    LabelError
+        It does.
+    """
+    with open_hdf5(path, LabelError, "SLEAP labels (.slp)") as file:
+        file.check_all()
 
 
 def _origin(video: Any) -> Any:
@@ -297,6 +311,7 @@ def export_sleap(project: Project, out: str | Path, *, videos: Sequence[str | Pa
         provenance={_WRITER: "labels written by bendtrack"},
     )
     make_folder(out.parent)
+    remove_leftovers(out.parent, out.stem)
     with atomic_path(out) as temporary:
         embed = False if by_reference else "user+suggestions"
         sleap_io.save_slp(labels, str(temporary), embed=embed, verbose=False)

@@ -86,9 +86,32 @@ def foreign_path(text: str) -> PurePosixPath:
     >>> foreign_path("C:\\study\\..\\arm\\img1.png"), foreign_path("/data/.hidden/img1.png")
     (PurePosixPath('study/arm/img1.png'), PurePosixPath('data/hidden/img1.png'))
     """
-    plain = text.replace("\\", "/").removeprefix(PureWindowsPath(text).drive)
+    plain = checked_name(text).replace("\\", "/").removeprefix(PureWindowsPath(text).drive)
     parts = (part.strip().lstrip(".") for part in plain.split("/"))
     return PurePosixPath(*(part for part in parts if part))
+
+
+def checked_name(text: str) -> str:
+    """Return a name or path that a file can have.
+
+    Parameters
+    ----------
+    text : str
+        The name as a foreign project gives it.
+
+    Returns
+    -------
+    str
+        The same text.
+
+    Raises
+    ------
+    LabelError
+        It holds a control character or half a character.
+    """
+    if any(char < " " or char == "\x7f" or "\ud800" <= char <= "\udfff" for char in text):
+        raise LabelError(f"expected a name of printable characters, got {text[:60]!a}")
+    return text
 
 
 def distinct_names(paths: Iterable[PurePosixPath]) -> dict[PurePosixPath, str]:

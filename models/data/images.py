@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import cv2
-import numpy as np
 
 from ...tracker.errors import LabelError
+from ...tracker.image_files import decode_image
 from ...tracker.types import ImageArray, LabelledFrame
 
 
@@ -37,12 +37,15 @@ def read_image_file(path: Path) -> ImageArray:
     Raises
     ------
     LabelError
-        The file is missing or not an image.
+        The file is missing, not an image, or larger than any frame.
     """
     # Bytes first: on Windows OpenCV opens Latin paths only, and it prints warnings of its own.
     # A camera's orientation tag is ignored, as the labelling tools and the label store ignore it.
-    raw = np.fromfile(path, np.uint8) if path.is_file() else np.empty(0, np.uint8)
-    data = cv2.imdecode(raw, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION) if raw.size else None
+    try:
+        contents = path.read_bytes() if path.is_file() else b""
+        data = decode_image(contents, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    except LabelError as error:
+        raise LabelError(f"{path}: {error}") from error
     if data is None:
         raise LabelError(f"expected an image at {path}, got a missing or unreadable file")
     return cv2.cvtColor(data, cv2.COLOR_BGR2RGB)

@@ -12,7 +12,13 @@ from pathlib import Path
 
 import pytest
 
-from bendtrack.tracker.atomic import atomic_path, atomic_write_bytes, atomic_write_text, remove_leftovers
+from bendtrack.tracker.atomic import (
+    atomic_folder,
+    atomic_path,
+    atomic_write_bytes,
+    atomic_write_text,
+    remove_leftovers,
+)
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals and limits")
 
@@ -188,3 +194,29 @@ def test_leftovers_go_and_what_another_process_is_writing_stays(tmp_path: Path) 
     (tmp_path / ".mine.csv").touch()
     remove_leftovers(tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == [".mine.csv", f"{long}-2.csv"]
+
+
+@posix
+def test_a_folder_appears_whole_and_its_leftovers_go(tmp_path: Path) -> None:
+    out = tmp_path / "export"
+    left = tmp_path / ".export.0123456789ab.tmp"
+    (left / "labeled-data").mkdir(parents=True)
+    with atomic_folder(out) as staging:
+        assert not left.exists()
+        (staging / "a.txt").write_text("x")
+        remove_leftovers(tmp_path)
+        assert staging.is_dir()  # it is being written
+        assert not out.exists()
+    assert [path.name for path in out.iterdir()] == ["a.txt"]
+    assert [path.name for path in tmp_path.iterdir()] == ["export"]
+
+
+@posix
+def test_leftovers_that_are_links_or_pipes_are_left_alone(tmp_path: Path) -> None:
+    kept = tmp_path / "kept.txt"
+    kept.write_text("x")
+    (tmp_path / ".a.0123456789ab.tmp").symlink_to(kept)
+    (tmp_path / ".b.0123456789ab.tmp").symlink_to(tmp_path, target_is_directory=True)
+    os.mkfifo(tmp_path / ".c.0123456789ab.tmp")
+    remove_leftovers(tmp_path)
+    assert kept.read_text() == "x"

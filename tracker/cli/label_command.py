@@ -59,8 +59,14 @@ def label(
     several servers, can be open on one project.
     """
     from ...labeling.serving import serve_labelling
+    from ...labeling.store import LabelStore
+    from ..atomic import remove_leftovers
 
     folder = opened(project).folder
+    for place in (folder.root, folder.root / ".bendtrack"):
+        if not place.is_symlink():
+            remove_leftovers(place)
+    LabelStore.of(folder).remove_leftovers()
 
     def ready(new_address: Callable[[], str]) -> None:
         if not no_browser:

@@ -52,7 +52,7 @@ def analyze(
 
 
 def _write_first(folder: Path) -> None:
-    from ..atomic import atomic_write_text
+    from ..atomic import atomic_write_text, remove_leftovers
     from ..study.first_study import first_study_file
     from ..study.study_file import read_study
 
@@ -60,6 +60,7 @@ def _write_first(folder: Path) -> None:
     if path.exists():
         raise StudyError(f"expected a folder without {_STUDY_FILE}, got one where it is: {folder}")
     text = first_study_file(folder)
+    remove_leftovers(path.parent, path.stem)
     atomic_write_text(path, text)
     n_trials = len(read_study(path).trials)
     console.say(

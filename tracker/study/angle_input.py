@@ -12,15 +12,17 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from ..errors import ResultsError, StudyError
+from ..csv_tables import read_csv_table
+from ..errors import ResultsError, StudyError, reason
 from ..hashing import file_sha256
 from ..project import SETTINGS_FILE
-from ..results import AngleTable, read_record, read_results
+from ..results import MAX_FLAG_CHARS, AngleTable, read_record, read_results
 from ..types import Flag, FloatArray
 from ..video import video_stem
 
 _OWN_HEADER = "frame,time_s,angle_deg,angle_sd_deg,flag"
 _TABLES = (".h5", ".csv", ".json")
+_LONGEST_HEADER = 2**17
 
 
 @dataclass(frozen=True)
@@ -154,8 +156,8 @@ def _video_of(table: Path) -> str | None:
 
 
 def _own_csv(path: Path) -> bool:
-    with open(path, encoding="utf-8", errors="replace") as file:
-        return file.readline().startswith(_OWN_HEADER)
+    with open(path, encoding="utf-8-sig", errors="replace") as file:
+        return file.readline(_LONGEST_HEADER).startswith(_OWN_HEADER)
 
 
 def _of_table(table: AngleTable) -> dict[str, Any]:
@@ -168,32 +170,30 @@ def _plain_csv(
 ) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.str_], dict[str, Any]]:
     try:
         with open(path, encoding="utf-8-sig") as file:
-            has_semicolons = ";" in file.readline()
-        frame = pd.read_csv(
-            path,
-            sep=";" if has_semicolons else ",",
-            decimal="," if has_semicolons else ".",
-            encoding="utf-8-sig",
-            index_col=False,
-        )
-    except (OSError, ValueError) as error:
-        raise ResultsError(f"{path}: cannot be read as a CSV ({str(error).splitlines()[0]})") from error
-    frame.columns = [str(column).strip() for column in frame.columns]
+            has_semicolons = ";" in file.readline(_LONGEST_HEADER)
+        frame = read_csv_table(path, *((";", ",") if has_semicolons else (",", ".")))
+    except (OSError, ValueError, OverflowError) as error:
+        raise ResultsError(f"{path}: cannot be read as a CSV ({reason(error)})") from error
     if not {"time_s", "angle_deg"} <= set(frame.columns):
         raise ResultsError(
             f"{path}: expected columns time_s and angle_deg (and perhaps angle_sd_deg, flag), "
-            f"got {', '.join(frame.columns)}"
+            f"got {', '.join(map(str, frame.columns))[:200]}"
         )
     numbers = {}
     for column in ("time_s", "angle_deg", "angle_sd_deg"):
         values = frame[column] if column in frame else pd.Series(np.nan, index=frame.index)
         try:
             numbers[column] = values.to_numpy(dtype=float, na_value=np.nan).copy()
-        except ValueError as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise ResultsError(
-                f"{path}: column {column}: expected numbers or empty cells ({error})"
+                f"{path}: column {column}: expected numbers or empty cells ({reason(error)})"
             ) from error
-    flag = frame["flag"].fillna("").astype(str) if "flag" in frame else pd.Series("", index=frame.index)
+    flag = pd.Series("", index=frame.index, dtype=object)
+    if "flag" in frame:
+        flag = frame["flag"].astype(object).where(frame["flag"].notna(), "").astype(str)
+    longest = int(flag.str.len().max()) if len(flag) else 0
+    if longest > MAX_FLAG_CHARS:
+        raise ResultsError(f"{path}: expected flags of at most {MAX_FLAG_CHARS} characters, got {longest}")
     return (
         numbers["time_s"],
         numbers["angle_deg"],

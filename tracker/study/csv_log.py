@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from ..errors import PressureLogError
+from ..errors import PressureLogError, reason
 from ..types import FloatArray
 from .log_columns import LogColumn
 from .units import known_unit, split_unit
@@ -25,7 +25,11 @@ _DELIMITERS = ("\t", ";", ",", "|", " ")
 # Lines of a header that loggers put before the table; a table begins within them.
 _HEAD_LINES = 100
 _SAMPLE_LINES = 50
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
+# Characters of a field that may be a number or a date.
+_LONGEST_VALUE = 400
+# Names in a message.
+_SHOWN_CHARS = 300
+_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
 _CLOCK = re.compile(
     r"(\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}[T ]+)?\d{1,2}:\d{2}(:\d{2})?([.,]\d+)?\s*(Z|[+-]\d{2}:?\d{2})?"
 )
@@ -33,6 +37,8 @@ _CLOCK_FORMATS = (
     *("ISO8601", "%d.%m.%Y %H:%M:%S.%f", "%m/%d/%Y %H:%M:%S.%f", "%d/%m/%Y %H:%M:%S.%f"),
     *("%d-%m-%Y %H:%M:%S.%f", "%Y/%m/%d %H:%M:%S.%f", "%Y.%m.%d %H:%M:%S.%f"),
 )
+
+_TICKS_PER_S = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 
 
 @dataclass(frozen=True)
@@ -99,11 +105,21 @@ def _text(path: Path) -> str:
 def _fields(line: str, delimiter: str) -> list[str]:
     if delimiter == " ":
         return line.split()
-    return [field.strip() for field in next(csv.reader([line], delimiter=delimiter), [])]
+    if '"' not in line:
+        return [field.strip() for field in line.split(delimiter)]
+    try:
+        return [field.strip() for field in next(csv.reader([line], delimiter=delimiter), [])]
+    except csv.Error:  # a quoted field of more than 128 KiB is no value
+        return [field.strip() for field in line.split(delimiter)]
 
 
 def _is_number(field: str, decimal: str) -> bool:
-    return bool(_NUMBER.fullmatch(field if decimal == "." else field.replace(",", ".", 1)))
+    text = field if decimal == "." else field.replace(",", ".", 1)
+    return len(text) <= _LONGEST_VALUE and bool(_NUMBER.fullmatch(text))
+
+
+def _is_clock(field: str) -> bool:
+    return len(field) <= _LONGEST_VALUE and bool(_CLOCK.fullmatch(field))
 
 
 def _layout(lines: Sequence[str], path: Path) -> _Layout:
@@ -120,7 +136,7 @@ def _layout(lines: Sequence[str], path: Path) -> _Layout:
                 _fields(line, delimiter) for line in lines[first : first + _SAMPLE_LINES] if line.strip()
             ]
             for fields in sample:
-                parsed = [_is_number(f, decimal) or bool(_CLOCK.fullmatch(f)) for f in fields if f]
+                parsed = [_is_number(f, decimal) or _is_clock(f) for f in fields if f]
                 good += sum(parsed)
                 bad += len(parsed) - sum(parsed)
             score = (good - 2 * bad, -first)
@@ -165,7 +181,7 @@ def _header(lines: Sequence[str], layout: _Layout, path: Path) -> tuple[list[str
             return [str(n) for n in range(1, layout.n_fields + 1)], [None] * layout.n_fields
         raise PressureLogError(
             f"{path}: expected as many fields in the rows as names in the header, "
-            f"got {layout.n_fields} and {len(names)} ({', '.join(names)})"
+            f"got {layout.n_fields} and {len(names)} ({', '.join(names)[:_SHOWN_CHARS]})"
         )
     written = [known_unit(re.sub(r"[\[\](){}]", "", name)) for name in names]
     if (
@@ -194,15 +210,36 @@ def _cells(lines: Sequence[str], layout: _Layout, path: Path) -> tuple[pd.DataFr
             on_bad_lines="skip",
             low_memory=False,
         )
-    except (ValueError, pd.errors.ParserError) as error:
-        raise PressureLogError(f"{path}: cannot be read as a table ({str(error).splitlines()[0]})") from error
+    except (ValueError, OverflowError, csv.Error) as error:
+        raise PressureLogError(f"{path}: cannot be read as a table ({reason(error)})") from error
     # Many loggers end each line with a delimiter; that last field is empty.
     long = cells[layout.n_fields].notna()
     n_bad = len(body) - len(cells) + int(long.sum())
     warnings = []
     if n_bad:
         warnings.append(f"{n_bad} of {len(body)} lines have too many fields and were left out")
+    short = _short_lines(body, layout) if len(cells) == len(body) else []
+    if short and layout.delimiter == " ":
+        # Which column is missing cannot be told, so the others may stand in the wrong ones.
+        long.iloc[short] = True
+        warnings.append(f"{len(short)} of {len(body)} lines have too few fields and were left out")
+    elif short:
+        warnings.append(
+            f"{len(short)} of {len(body)} lines have too few fields; the last ones are taken as empty"
+        )
     return cells.loc[~long].reset_index(drop=True), warnings
+
+
+def _short_lines(body: Sequence[str], layout: _Layout) -> list[int]:
+    """Numbers of the lines with too few fields, the delimiter at the end of a line not counted."""
+    least = layout.n_fields
+    if any('"' in line for line in body):
+        return []  # a quoted field may hold delimiters and go over several lines
+    if layout.delimiter == " ":
+        return [number for number, line in enumerate(body) if len(line.split()) < least]
+    if body and body[0].rstrip().endswith(layout.delimiter):
+        least -= 1
+    return [number for number, line in enumerate(body) if line.count(layout.delimiter) < least - 1]
 
 
 def _column(name: str, unit: str | None, cells: pd.Series, layout: _Layout) -> tuple[LogColumn, str | None]:
@@ -210,10 +247,7 @@ def _column(name: str, unit: str | None, cells: pd.Series, layout: _Layout) -> t
         return LogColumn(name, unit, cells.to_numpy(dtype=float)), None
     text = cells.astype("str").str.strip()
     filled = cells.notna().to_numpy() & (text != "").to_numpy()
-    if (
-        filled.any()
-        and text[filled].head(_SAMPLE_LINES).map(lambda t: bool(_CLOCK.fullmatch(t))).mean() > 0.5
-    ):
+    if filled.any() and text[filled].head(_SAMPLE_LINES).map(_is_clock).mean() > 0.5:
         values, is_clock = _seconds(text), True
     else:
         if layout.decimal == ",":
@@ -224,7 +258,9 @@ def _column(name: str, unit: str | None, cells: pd.Series, layout: _Layout) -> t
     warning = None
     if lost.any() and not lost[filled].all():  # a column of text is not of interest
         what = "dates" if is_clock else "numbers"
-        warning = f"column '{name}': {lost.sum()} cells are no {what}, the first '{text[int(lost.argmax())]}'"
+        warning = (
+            f"column '{name}': {lost.sum()} cells are no {what}, the first '{text[int(lost.argmax())][:40]}'"
+        )
     return LogColumn(name, unit, values, is_clock), warning
 
 
@@ -244,7 +280,9 @@ def _seconds(text: pd.Series) -> FloatArray:
     for date_format in _CLOCK_FORMATS:
         source = text if date_format == "ISO8601" else with_fraction
         stamps = pd.to_datetime(source, format=date_format, errors="coerce", utc=True)
-        seconds = (stamps - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)
-        if seconds.notna().sum() > np.isfinite(best).sum():
-            best = seconds.to_numpy(dtype=float)
+        known = stamps.notna().to_numpy()
+        if known.sum() > np.isfinite(best).sum():
+            # Not by a difference of dates, which pandas limits to the years 1678 to 2261.
+            ticks = stamps.astype("int64").to_numpy() / _TICKS_PER_S[stamps.dt.unit]
+            best = np.where(known, ticks, np.nan)
     return best

@@ -62,7 +62,9 @@ def _ratios(results: StudyResults, labels: Mapping[str, str]) -> list[str]:
 
 def _responses(results: StudyResults, labels: Mapping[str, str]) -> list[str]:
     table = results.ranking
-    table = table[table["metric"] == "dynamic_response_deg"]
+    table = table[(table["metric"] == "dynamic_response_deg") & table["pressure_pp_kpa"].notna()]
+    if table.empty:  # no trial names its pressure: nothing is compared at one
+        return []
     has_others = table.groupby(["frequency_hz", "pressure_pp_kpa"])["rank"].transform("size") > 1
     best = table[(table["rank"] == 1) & has_others]
     found = []

@@ -12,10 +12,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
-import h5py
 import tomlkit
 
 from ..errors import PressureLogError, StudyError
+from ..hdf5_files import open_hdf5
 from ..project import SETTINGS_FILE
 from ..project_settings import VIDEO_SUFFIXES
 from .csv_log import csv_columns
@@ -154,9 +154,9 @@ def _kind(path: Path) -> str | None:
         return "log"
     if suffix == ".h5":
         try:
-            with h5py.File(path, "r") as file:
-                return "angles" if "angle_deg" in file and "time_s" in file else None
-        except OSError:
+            with open_hdf5(path, StudyError, "HDF5") as file:
+                return "angles" if "angle_deg" in file.root and "time_s" in file.root else None
+        except StudyError:
             return None
     if suffix not in (".csv", ".txt", ".tsv", ".dat"):
         return None

@@ -171,14 +171,17 @@ def _gaps(times: FloatArray, usual: float) -> NDArray[np.intp]:
 
 def _goes_on(times: FloatArray, values: FloatArray, at: int, usual: float) -> bool:
     """Whether lines fitted to the samples on both sides are continuous if the gap is removed, and not otherwise."""
-    n = max(8, round(0.1 / usual))
+    n = max(8, round(min(0.1 / usual, len(times))))
     before, after = slice(max(0, at + 1 - n), at + 1), slice(at + 1, at + 1 + n)
     a, b = values[before], values[after]
     if len(a) < 8 or len(b) < 8 or np.isnan(a).any() or np.isnan(b).any():
         return False
     gap = times[at + 1] - times[at]
-    slope_a, end_a = np.polyfit(times[before] - times[at], a, 1)
-    slope_b, start_b = np.polyfit(times[after] - times[at + 1], b, 1)
+    try:
+        slope_a, end_a = np.polyfit(times[before] - times[at], a, 1)
+        slope_b, start_b = np.polyfit(times[after] - times[at + 1], b, 1)
+    except np.linalg.LinAlgError:  # numbers too large to be squared
+        return False
     noise = float(np.std(np.diff(values[max(0, at - 200) : at + 200])) / np.sqrt(2))
     level_sd = 3 * noise / np.sqrt(min(len(a), len(b)))
     missing = slope_a * gap

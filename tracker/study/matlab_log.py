@@ -5,6 +5,7 @@ The meaning of the columns is determined in `log_columns.py` and `pressure_log.p
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -14,13 +15,22 @@ import h5py
 import numpy as np
 import scipy.io
 
-from ..errors import PressureLogError
+from ..errors import PressureLogError, reason
+from ..hdf5_files import Hdf5File, open_hdf5
 from ..types import FloatArray
 from .log_columns import LogColumn
 from .units import TIME_WORDS, known_unit, split_unit, words_of
 
 # Shorter vectors are settings, not recordings.
 _MIN_SAMPLES = 3
+# Structures in structures, and characters of a text: beyond, a file is damaged or made to keep a reader busy.
+_MAX_DEPTH = 20
+_MAX_CHARACTERS = 100_000
+_MAX_COLUMNS = 10_000
+# Bytes of a v5 file, and how much larger than its file a variable may say that it is (they may be compressed).
+_MAX_V5_BYTES = 2**31
+_MIN_V5_BYTES = 2**26
+_V5_EXPANSION = 200
 
 
 def matlab_columns(path: Path) -> list[LogColumn]:
@@ -65,16 +75,33 @@ _OBJECT = object()
 
 def _read_v5(path: Path) -> dict[str, Any]:
     try:
+        _check_v5_size(path)
         variables = scipy.io.loadmat(path, simplify_cells=True)
     except NotImplementedError as error:
-        raise PressureLogError(f"{path}: a MATLAB file of a version that cannot be read ({error})") from error
+        raise PressureLogError(
+            f"{path}: a MATLAB file of a version that cannot be read ({reason(error)})"
+        ) from error
     except Exception as error:  # scipy raises many kinds of errors on damaged files
-        raise PressureLogError(f"{path}: cannot be read as a MATLAB file ({error})") from error
+        raise PressureLogError(f"{path}: cannot be read as a MATLAB file ({reason(error)})") from error
     return {
         str(name): _OBJECT if _is_object(value) else value
         for name, value in variables.items()
         if not str(name).startswith("__") or _is_object(value)
     }
+
+
+def _check_v5_size(path: Path) -> None:
+    """Refuse variables that would take far more memory than their file, from the headers alone.
+
+    Raises
+    ------
+    ValueError
+        They would.
+    """
+    limit = min(_MAX_V5_BYTES, max(_MIN_V5_BYTES, _V5_EXPANSION * path.stat().st_size))
+    wanted = sum(8 * math.prod(shape) for _, shape, _ in scipy.io.whosmat(path))
+    if wanted > limit:
+        raise ValueError(f"expected at most {limit / 1e6:.0f} MB of variables, got {wanted / 1e6:.0f} MB")
 
 
 def _is_object(value: Any) -> bool:
@@ -84,32 +111,45 @@ def _is_object(value: Any) -> bool:
 
 
 def _read_hdf5(path: Path) -> dict[str, Any]:
-    try:
-        with h5py.File(path, "r") as file:
-            return {name: _hdf5_value(file, item) for name, item in file.items() if not name.startswith("#")}
-    except (OSError, RuntimeError, KeyError, ValueError) as error:
-        raise PressureLogError(f"{path}: cannot be read as a MATLAB v7.3 file ({error})") from error
+    with open_hdf5(path, PressureLogError, "a MATLAB v7.3 file") as file:
+        return {
+            name: _hdf5_value(file, file.item(file.root, name), 0)
+            for name in file.root
+            if not name.startswith("#")
+        }
 
 
-def _hdf5_value(file: h5py.File, item: Any) -> Any:
+def _hdf5_value(file: Hdf5File, item: h5py.Group | h5py.Dataset, depth: int) -> Any:
     """A v7.3 variable as loadmat(simplify_cells=True) would give a v5 one."""
+    if depth > _MAX_DEPTH:
+        raise ValueError(f"expected structures at most {_MAX_DEPTH} deep, got deeper ones")
     if "MATLAB_object_decode" in item.attrs:
         return _OBJECT
     if isinstance(item, h5py.Group):
-        fields = {name: _hdf5_value(file, field) for name, field in item.items()}
+        fields = {name: _hdf5_value(file, file.item(item, name), depth + 1) for name in item}
         lists = [value for value in fields.values() if isinstance(value, list)]
         if fields and len(lists) == len(fields) and len({len(value) for value in lists}) == 1:
             # A structure array holds a list for each field.
             return [dict(zip(fields, values, strict=True)) for values in zip(*lists, strict=True)]
         return fields
+    if not isinstance(item, h5py.Dataset):
+        raise ValueError(f"'{item.name}': expected an array or a structure, got a {type(item).__name__}")
     if item.attrs.get("MATLAB_empty", 0):
         return np.empty(0)
+    values = file.array(item)
     if item.dtype == h5py.ref_dtype:
-        return [_hdf5_value(file, file[reference]) for reference in np.ravel(item[()], order="F")]
-    values = np.asarray(item[()])
+        references = np.ravel(values, order="F")
+        return [_hdf5_value(file, file.counted(item.file[reference]), depth + 1) for reference in references]
     if item.attrs.get("MATLAB_class") == b"char":
-        return "".join(map(chr, values.ravel(order="F")))
+        return _characters(values)
     return values.T.squeeze()  # MATLAB stores columns first
+
+
+def _characters(values: np.ndarray) -> str:
+    """MATLAB's characters are UTF-16 codes; long ones are data, not names."""
+    if values.dtype.kind not in "iu" or values.size > _MAX_CHARACTERS:
+        return ""
+    return values.ravel(order="F").astype("<u2").tobytes().decode("utf-16-le", errors="replace")
 
 
 def _columns(name: str, value: Any) -> Iterator[LogColumn]:

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ..atomic import atomic_write_text
+from ..atomic import atomic_write_text, remove_leftovers
 from ..errors import ResultsError, reason
 from ..links import make_folder
 from ..results import json_ready
@@ -101,6 +101,8 @@ def write_report(
     try:
         for folder in ("figures/trials", "tables"):
             make_folder(out / folder)
+        for folder in (".", "figures", "figures/trials", "tables"):
+            remove_leftovers(out / folder)
     except OSError as error:
         raise ResultsError(f"{out}: cannot be written ({reason(error)})") from error
     styles = design_styles((name, design.label, design.colour) for name, design in study.designs.items())

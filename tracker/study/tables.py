@@ -9,11 +9,14 @@ from typing import Any
 import pandas as pd
 
 from ..atomic import atomic_path
+from ..csv_tables import spreadsheet_cell
 from ..errors import ResultsError, reason
 
 
 def write_csv_tables(tables: Mapping[str, pd.DataFrame], folder: str | Path) -> list[Path]:
     """Write each table to `folder`/<name>.csv, whole or not at all; NaN is an empty cell.
+
+    Text that a spreadsheet would run as a formula gets an apostrophe in front (see `csv_tables.spreadsheet_cell`).
 
     Parameters
     ----------
@@ -37,7 +40,9 @@ def write_csv_tables(tables: Mapping[str, pd.DataFrame], folder: str | Path) -> 
         path = Path(folder) / f"{name}.csv"
         try:
             with atomic_path(path) as temporary:
-                table.map(_as_cell).to_csv(temporary, index=False, lineterminator="\n", encoding="utf-8")
+                cells = table.map(_as_cell)
+                cells.columns = [spreadsheet_cell(str(column)) for column in cells.columns]
+                cells.to_csv(temporary, index=False, lineterminator="\n", encoding="utf-8")
         except OSError as error:
             raise ResultsError(f"{path}: cannot be written ({reason(error)})") from error
         paths.append(path)
@@ -45,5 +50,7 @@ def write_csv_tables(tables: Mapping[str, pd.DataFrame], folder: str | Path) -> 
 
 
 def _as_cell(value: Any) -> Any:
-    """Several numbers in one cell are separated by spaces, which any language can split."""
+    """Several numbers in one cell are separated by spaces, which any language can split; texts are no formulas."""
+    if isinstance(value, str):
+        return spreadsheet_cell(value)
     return " ".join(map(str, value)) if isinstance(value, tuple) else value

@@ -43,6 +43,8 @@ TIME_WORDS = {
     *("zeit", "uhrzeit", "zeitstempel", "temps", "tiempo", "tempo"),
 }
 _BRACKETS = re.compile(r"[\[({<]\s*([^\])}>]*?)\s*[\])}>]\s*$")
+# Characters of a header that are looked at: the patterns take time with the square of its length.
+_LONGEST_NAME = 300
 _WORDS = re.compile(r"[^\W_]+")
 
 
@@ -92,6 +94,7 @@ def split_unit(header: str) -> tuple[str, str | None]:
     >>> [split_unit(h) for h in ("P [kPa]", "pressure_psi", "time / s", "P (apples)", "P_d", "kPa")]
     [('P', 'kPa'), ('pressure', 'psi'), ('time', 's'), ('P', 'apples'), ('P_d', None), ('kPa', 'kPa')]
     """
+    header = header[:_LONGEST_NAME]
     header = header.strip()
     brackets = _BRACKETS.search(header)
     if brackets:
