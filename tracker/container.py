@@ -14,13 +14,20 @@ from pathlib import Path
 import av
 import numpy as np
 from av.container import InputContainer
+from av.format import Flags as FormatFlags
 from av.sidedata.sidedata import Type as SideDataType
 from av.stream import Disposition
 
+from .decoder_log import listen
 from .errors import VideoError, reason
 from .types import ImageArray
 
 # Images and text, which FFmpeg would open as a "video" of one frame.
+_NO_TIMES = int(FormatFlags.no_timestamps.value)  # type: ignore[call-overload] # PyAV's stub errs
+# Plain, with a time stamp (AVCHD), with a checksum.
+_TS_PACKET_BYTES = (188, 192, 204)
+# Anamorphic lenses reach 2; a file that asks for more is damaged.
+_MAX_ASPECT = 4
 _NOT_VIDEO_FORMATS = ("_pipe", "image2", "tty")
 
 
@@ -74,7 +81,10 @@ def open_video(path: Path, threads: int) -> Iterator[tuple[InputContainer, av.Vi
     VideoError
         The file is missing, a folder, empty, not a video, or has no video stream.
     """
-    container = _open(path)
+    listen()
+    with av.logging.Capture():  # what it says here it says again when frames are read
+        container = _open(path)
+    context = None
     try:
         stream = _video_stream(container, path)
         context = stream.codec_context
@@ -89,6 +99,9 @@ def open_video(path: Path, threads: int) -> Iterator[tuple[InputContainer, av.Vi
             context.options = {**context.options, "err_detect": "explode"}
         yield container, stream
     finally:
+        if threads > 1 and context is not None and context.is_open:
+            # Brings the threads to rest while Python runs on: one that logs waits for Python, which would wait for it.
+            context.flush_buffers()
         container.close()
 
 
@@ -102,7 +115,10 @@ def _open(path: Path) -> InputContainer:
     try:
         # Absolute, so that a colon in the name is not taken for a protocol; files only, so that no playlist
         # reaches for the network.
-        container = av.open(str(path.absolute()), options={"protocol_whitelist": "file"})
+        # Titles and comments may be in the alphabet of any land.
+        container = av.open(
+            str(path.absolute()), options={"protocol_whitelist": "file"}, metadata_errors="replace"
+        )
     except av.InvalidDataError as error:
         raise VideoError(f"{path}: not a video, or cut off before its index was written") from error
     except (av.FFmpegError, OSError, ValueError) as error:
@@ -151,7 +167,7 @@ def first_frame(container: InputContainer, stream: av.VideoStream, path: Path) -
     while True:
         try:
             packet = next(packets, None)
-        except av.FFmpegError:  # the file ends here
+        except (av.FFmpegError, IndexError):  # the file ends here (IndexError: see `decoding.py`)
             packet = None
         if packet is not None and packet.size == 0:
             continue
@@ -196,6 +212,67 @@ def orientation(frame: av.VideoFrame) -> tuple[Orientation, int, str | None]:
     if max(abs(a), abs(d)) < 1e-3 * max(abs(b), abs(c)):
         return Orientation(True, bool(c < 0), bool(b < 0)), turn, None
     return Orientation(), 0, f"the file asks for a turn of {turn} degrees, not a quarter turn: not applied"
+
+
+def has_times(container: InputContainer) -> bool:
+    """Whether a file's format holds presentation times. FFmpeg invents some for those that do not.
+
+    Parameters
+    ----------
+    container : InputContainer
+        The open file.
+
+    Returns
+    -------
+    bool
+        False for elementary streams such as raw H.264, MJPEG or AV1.
+    """
+    return not container.format.flags & _NO_TIMES
+
+
+def is_cut_short(container: InputContainer) -> bool:
+    """Whether a file ends in the middle of a packet, where the format's packets have one size (MPEG-TS).
+
+    Parameters
+    ----------
+    container : InputContainer
+        The open file.
+
+    Returns
+    -------
+    bool
+        True where the last packet is not whole.
+    """
+    return container.format.name == "mpegts" and all(container.size % size for size in _TS_PACKET_BYTES)
+
+
+def displayed_wh(stream: av.VideoStream, stored_wh: tuple[int, int]) -> tuple[tuple[int, int], str | None]:
+    """Size to which frames are stretched where pixels are not square, before they are turned.
+
+    Parameters
+    ----------
+    stream : VideoStream
+        The video stream, of which a frame has been decoded.
+    stored_wh : tuple of (int, int)
+        Width and height of the frames as stored, px.
+
+    Returns
+    -------
+    size_wh : tuple of (int, int)
+        Width and height, px. One of them is larger, as in browsers (HTML: never drop rows or columns).
+    warning : str or None
+        A line where the file asks for a shape that no camera has.
+    """
+    width, height = stored_wh
+    # The container's word counts more than the codec's, as for FFmpeg's own player.
+    aspect = stream.sample_aspect_ratio or stream.codec_context.sample_aspect_ratio
+    if not aspect or aspect == 1:
+        return stored_wh, None
+    if not 1 / _MAX_ASPECT <= aspect <= _MAX_ASPECT:
+        return stored_wh, f"the file asks for pixels of {aspect} times their height: not applied"
+    if aspect > 1:
+        return (round(width * aspect), height), None
+    return (width, round(height / aspect)), None
 
 
 def claimed_frames(stream: av.VideoStream) -> int | None:

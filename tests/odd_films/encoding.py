@@ -12,6 +12,7 @@ import numpy as np
 
 from .scene import FRAMES, RATE, SIZE_WH, angle_deg, draw
 
+_AUDIO = {".webm": "libopus", ".avi": "pcm_s16le"}
 _TICK = Fraction(1, 90_000)
 
 
@@ -96,7 +97,7 @@ def write(recipe: Recipe, path: Path) -> Path:
             stream.codec_context.time_base = _TICK
         if recipe.rotation_deg or recipe.flip:
             stream.set_display_rotation(recipe.rotation_deg, hflip=recipe.flip)
-        sound = container.add_stream("aac" if recipe.suffix != ".webm" else "libopus", rate=48_000) if recipe.audio else None
+        sound = container.add_stream(_AUDIO.get(recipe.suffix, "aac"), rate=48_000) if recipe.audio else None
         marked = _FieldOrder(recipe.interlaced)
         for number, image in enumerate(_images(recipe, times_s - times_s[0])):
             frame = av.VideoFrame.from_ndarray(image)
@@ -157,7 +158,7 @@ def _images(recipe: Recipe, shown_s: np.ndarray) -> Sequence[np.ndarray]:
 
 def _add_silence(container: av.container.OutputContainer, sound: av.AudioStream, length_s: float) -> None:
     for n in range(int(length_s * 48_000 / 960)):
-        silence = av.AudioFrame.from_ndarray(np.zeros((1, 960), np.float32), "fltp", "mono")
+        silence = av.AudioFrame.from_ndarray(np.zeros((1, 960), np.int16), "s16", "mono")
         silence.sample_rate, silence.pts = 48_000, 960 * n
         container.mux(sound.encode(silence))
     container.mux(sound.encode(None))

@@ -12,7 +12,7 @@ from .encoding import Recipe
 from .scene import FRAMES, RATE
 
 _X264 = {"g": "10", "crf": "18", "preset": "ultrafast"}
-_SVT = {"preset": "12", "crf": "12", "g": "10", "svtav1-params": "lp=1"}
+_SVT = {"preset": "10", "crf": "5", "g": "10", "svtav1-params": "lp=1"}
 _X265 = {"preset": "ultrafast", "crf": "18", "g": "10", "x265-params": "log-level=none:pools=none:frame-threads=1"}
 
 CODECS: dict[str, tuple[str, str, dict[str, str]]] = {
@@ -91,7 +91,7 @@ def sound_films() -> Iterator[tuple[str, Recipe]]:
         for codec in codecs:
             yield f"{codec}{suffix}", recipe(codec, suffix)
     yield "gif.gif", Recipe("gif", ".gif", "rgb8", rate=Fraction(25))
-    yield "dv.dv", Recipe("dvvideo", ".dv", "yuv420p", size_wh=(720, 576), rate=Fraction(25), format="dv")
+    yield "dv.dv", Recipe("dvvideo", ".dv", "yuv420p", size_wh=(720, 576), pixel_aspect=Fraction(16, 15), rate=Fraction(25), format="dv")
     yield from _timed()
     yield from _shaped()
     yield from _contained()
@@ -118,8 +118,8 @@ def _timed() -> Iterator[tuple[str, Recipe]]:
     }
     for name, values in times.items():
         for codec, suffix in (("h264b", ".mp4"), ("h264", ".mkv"), ("vp9", ".webm"), ("h264", ".mov"), ("h264", ".ts")):
-            if name == "negative" and suffix == ".ts":
-                continue
+            if name == "negative" and suffix != ".mkv":
+                continue  # MP4 and MOV hide what is before 0 (see `negative_hidden`)
             yield f"{name}_{codec}{suffix}", replace(recipe(codec, suffix), times_s=tuple(values.tolist()))
     yield "ntsc_h264b.mp4", replace(recipe("h264b", ".mp4"), rate=Fraction(30000, 1001))
     yield "fast_h264.mkv", replace(recipe("h264", ".mkv"), rate=Fraction(240))
@@ -134,10 +134,10 @@ def _shaped() -> Iterator[tuple[str, Recipe]]:
     for aspect in (Fraction(16, 11), Fraction(4, 3), Fraction(8, 9), Fraction(1, 2), Fraction(2)):
         name = f"{aspect.numerator}x{aspect.denominator}"
         width = round(160 / float(aspect) / 2) * 2
-        yield f"aspect_{name}.mp4", replace(plain, pixel_aspect=aspect, size_wh=(width, 120))
-    yield "aspect.mkv", replace(recipe("ffv1", ".mkv"), pixel_aspect=Fraction(4, 3), size_wh=(120, 120))
+        yield f"aspect_{name}.mp4", replace(plain, pix_fmt="yuv444p", pixel_aspect=aspect, size_wh=(width, 120))
+    yield "aspect.mkv", replace(recipe("h264", ".mkv"), pixel_aspect=Fraction(4, 3), size_wh=(120, 120))
     yield "aspect.mov", replace(recipe("mpeg4", ".mov"), pixel_aspect=Fraction(4, 3), size_wh=(120, 120))
-    yield "aspect.mpg", replace(recipe("mpeg2", ".mpg"), pixel_aspect=Fraction(4, 3), size_wh=(120, 90))
+    yield "aspect.mpg", replace(recipe("mpeg2", ".mpg"), pixel_aspect=Fraction(4, 3), size_wh=(240, 180))
     interlaced = {
         "x264.mp4": replace(plain, options=_X264 | {"flags": "+ildct+ilme", "bf": "0"}),
         "x264.mkv": replace(recipe("h264b", ".mkv"), options=_X264 | {"flags": "+ildct+ilme", "bf": "2"}),
