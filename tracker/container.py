@@ -18,7 +18,7 @@ from av.format import Flags as FormatFlags
 from av.sidedata.sidedata import Type as SideDataType
 from av.stream import Disposition
 
-from .decoder_log import listen
+from .decoder_log import complaints, listen
 from .errors import VideoError, reason
 from .types import ImageArray
 
@@ -26,6 +26,9 @@ from .types import ImageArray
 _NO_TIMES = int(FormatFlags.no_timestamps.value)  # type: ignore[call-overload] # PyAV's stub errs
 # Plain, with a time stamp (AVCHD), with a checksum.
 _TS_PACKET_BYTES = (188, 192, 204)
+# The object of an ASF's header that gives the size of the file, 40 bytes after its name.
+_ASF_FILE_PROPERTIES = bytes.fromhex("a1dcab8c47a9cf118ee400c00c205365")
+_ASF_HEAD_BYTES = 1 << 16
 # Anamorphic lenses reach 2; a file that asks for more is damaged.
 _MAX_ASPECT = 4
 _NOT_VIDEO_FORMATS = ("_pipe", "image2", "tty")
@@ -66,7 +69,7 @@ class Orientation:
 
 
 @contextmanager
-def open_video(path: Path, threads: int) -> Iterator[tuple[InputContainer, av.VideoStream]]:
+def open_video(path: Path, threads: int) -> Iterator[tuple[InputContainer, av.VideoStream, list[str]]]:
     """Open a file and its first video stream that is not a cover image, ready to decode.
 
     Parameters
@@ -76,14 +79,25 @@ def open_video(path: Path, threads: int) -> Iterator[tuple[InputContainer, av.Vi
     threads : int
         Number of decoding threads.
 
+    Yields
+    ------
+    container : InputContainer
+        The open file.
+    stream : VideoStream
+        Its video stream.
+    heard : list of str
+        What FFmpeg said of damage while it probed the file.
+
     Raises
     ------
     VideoError
         The file is missing, a folder, empty, not a video, or has no video stream.
     """
     listen()
-    with av.logging.Capture():  # what it says here it says again when frames are read
+    with av.logging.Capture() as logs:
         container = _open(path)
+    # The reader's own words; those of decoders it says again when frames are read.
+    logs = [log for log in logs if log[1] == container.format.name and "Packet corrupt" not in log[2]]
     context = None
     try:
         stream = _video_stream(container, path)
@@ -97,7 +111,7 @@ def open_video(path: Path, threads: int) -> Iterator[tuple[InputContainer, av.Vi
             # Finds most flipped bits instead of few. Every frame stands alone, so nothing else is lost; the
             # other codecs mark what they conceal without it.
             context.options = {**context.options, "err_detect": "explode"}
-        yield container, stream
+        yield container, stream, complaints(logs)
     finally:
         if threads > 1 and context is not None and context.is_open:
             # Brings the threads to rest while Python runs on: one that logs waits for Python, which would wait for it.
@@ -231,7 +245,7 @@ def has_times(container: InputContainer) -> bool:
 
 
 def is_cut_short(container: InputContainer) -> bool:
-    """Whether a file ends in the middle of a packet, where the format's packets have one size (MPEG-TS).
+    """Whether a file is shorter than its format says.
 
     Parameters
     ----------
@@ -241,9 +255,17 @@ def is_cut_short(container: InputContainer) -> bool:
     Returns
     -------
     bool
-        True where the last packet is not whole.
+        MPEG-TS: True where the last packet is not whole. ASF, WMV: where the header gives a larger size.
     """
-    return container.format.name == "mpegts" and all(container.size % size for size in _TS_PACKET_BYTES)
+    if container.format.name == "mpegts":
+        return all(container.size % size for size in _TS_PACKET_BYTES)
+    if container.format.name == "asf":
+        with open(container.name, "rb") as file:
+            head = file.read(_ASF_HEAD_BYTES)
+        at = head.find(_ASF_FILE_PROPERTIES)
+        size = int.from_bytes(head[at + 40 : at + 48], "little") if at >= 0 else 0
+        return size > container.size
+    return False
 
 
 def displayed_wh(stream: av.VideoStream, stored_wh: tuple[int, int]) -> tuple[tuple[int, int], str | None]:

@@ -17,7 +17,8 @@ What is believed of a damaged frame
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+import sys
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -30,6 +31,10 @@ from .errors import reason
 
 # A decoder reorders at most 16 frames (H.264, HEVC): a packet so much older than a decoded one will not come.
 _MAX_REORDER = 16
+# FFmpeg reads so many bytes at most to probe a file.
+_PROBED_BYTES = 5_000_000
+# An elementary stream has no zeroes between its frames: so many are the rest of one that is gone.
+_ZEROES = bytes(64)
 _NUMBERS = re.compile(r"(0x)?[0-9a-f]*\d[0-9a-f]*")
 # When no picture comes at all, stop waiting for packets older than this.
 _MAX_PENDING = 256
@@ -94,6 +99,8 @@ class Decoding:
         The index of an AVI.
     is_cut : bool
         Whether the last packet is known to be incomplete.
+    heard_at_opening : sequence of str
+        What FFmpeg said of damage while it probed the file, whose beginning it then kept.
     """
 
     def __init__(
@@ -105,6 +112,7 @@ class Decoding:
         has_times: bool = True,
         slots: ChunkSlots | None = None,
         is_cut: bool = False,
+        heard_at_opening: Sequence[str] = (),
     ) -> None:
         self.n_hidden = 0
         self.last_duration = 0
@@ -122,9 +130,16 @@ class Decoding:
         self._pending: dict[int, _Packet] = {}  # by number: neither decoded nor given up
         self._marked_corrupt: set[int] = set()
         self._complained: set[int] = set()  # numbers of packets during whose decoding FFmpeg logged an error
+        self._heard: dict[str, int] = {}  # what FFmpeg logged while reading -> how often
+        # Where FFmpeg counts frames instead of reading their times, a lost one shifts all that follow.
+        self._counts_times = not has_times or container.format.name in ("avi", "mxf")
+        self._uncertain_from = sys.maxsize  # number of the first packet whose time may be wrong
+        self._damaged_bytes = 0  # packets that begin before this position may be damaged
+        for message in heard_at_opening:
+            self._heard[message] = 1
+            self._damaged_bytes = _PROBED_BYTES
         self._number = self._group = -1
         self._last_stamp: int | None = None
-        self._heard: dict[str, int] = {}  # what FFmpeg logged while reading -> how often
         self._waiting: list[tuple[_Packet, av.VideoFrame | None]] = []  # settled, in presentation order
         self._damage: dict[int, int] = {}  # group -> number of its first frame that could not be decoded
         self._n_late = self._n_resized = 0
@@ -145,17 +160,16 @@ class Decoding:
             )
 
     def _settled_rows(self) -> Iterator[Row]:
+        # One packet behind: only what comes after a packet shows whether it is whole.
         last: av.Packet | None = None
         for packet in self._packets():
-            if self._is_cut:  # one packet behind, so that the last one is known
-                packet, last = last, packet
-                if packet is None:
-                    continue
-            if packet.size:
-                self._decode(packet)
-            yield from self._release()
+            if last is not None:
+                self._decode(last)
+                yield from self._release()
+            last = packet
         if last is not None:
-            self._complained.add(self._number)
+            if self._is_cut:
+                self._complained.add(self._number)
             self._decode(last)
             yield from self._release()
         self._decode(None)
@@ -199,6 +213,10 @@ class Decoding:
                     self._last_stamp, self.last_duration = stamp, packet.duration or 0
                 if packet.is_corrupt:
                     self._marked_corrupt.add(self._number)
+                if (packet.pos or 0) < self._damaged_bytes:
+                    self._complained.add(self._number)
+                if not self._has_times and memoryview(packet)[-len(_ZEROES) :] == _ZEROES:
+                    self._lose_track()
                 packet.opaque = self._number
             yield packet
 
@@ -208,7 +226,13 @@ class Decoding:
             # Positions and numbers make every message a new one.
             kind = _NUMBERS.sub("...", message)
             self._heard[kind] = self._heard.get(kind, 0) + 1
-            self._mark_group(self._number)
+            self._lose_track()
+
+    def _lose_track(self) -> None:
+        """The packet read last may not be whole, and others may be lost behind it."""
+        self._mark_group(self._number - 1)
+        if self._counts_times:
+            self._uncertain_from = min(self._uncertain_from, self._number + 1)
 
     def _mark_group(self, number: int) -> None:
         """Mark what follows this number in the group being read."""
@@ -247,6 +271,8 @@ class Decoding:
         )
 
     def _decode(self, packet: av.Packet | None) -> None:
+        if packet is not None and packet.size == 0:
+            return
         pictures: list[av.VideoFrame] = []
         with av.logging.Capture() as logs:
             try:
@@ -254,9 +280,11 @@ class Decoding:
             except av.FFmpegError:
                 pass  # its number stays pending and is given up in time
         if logs and self._hears_decoder and packet is not None and complaints(logs):
-            self._complained.add(self._number)
-            if packet.opaque is None:  # not shown, but others may build on it
-                self._mark_group(self._number)
+            number = cast(int | None, packet.opaque)
+            if number is None:  # not shown, but others may build on it
+                self._mark_group(self._number - 1)
+            else:
+                self._complained.add(number)
         for picture in pictures:
             if picture.opaque is None:
                 continue  # made up by the decoder for a missing reference, or not to be shown
@@ -303,6 +331,8 @@ class Decoding:
             self._damage[packet.group] = min(self._damage.get(packet.group, packet.number), packet.number)
         place = len(self._waiting)
         if picture is None:
+            if self._container.format.name == "mxf":
+                self._uncertain_from = min(self._uncertain_from, packet.number + 1)
             self._damage[packet.group] = min(self._damage.get(packet.group, packet.number), packet.number)
             if self._time_of(packet) is None:  # its place is then known to within the reordering
                 later = (i for i, (other, _) in enumerate(self._waiting) if other.number > packet.number)
@@ -325,7 +355,8 @@ class Decoding:
             yield Row(
                 packet.stamp if self._has_times else None,
                 picture,
-                damaged=picture is not None and (complained or self._builds_on_damage(packet)),
+                damaged=picture is not None
+                and (complained or self._builds_on_damage(packet) or packet.number >= self._uncertain_from),
                 key=packet.key,
                 size_bytes=packet.size,
             )

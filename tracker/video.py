@@ -34,6 +34,7 @@ from .container import (
 from .decoding import Decoding, Row
 from .deinterlacing import deinterlaced
 from .errors import VideoError
+from .picture_check import PictureCheck
 from .types import FloatArray, ImageArray
 
 # A pause of so many usual frame intervals gets a warning: it may be lost frames.
@@ -131,6 +132,8 @@ class Video:
         What the user should know, a line each.
     complete : bool
         False when frames are missing, undecodable or damaged.
+    doubtful : list of int
+        Indices of frames that were decoded without a complaint, but do not fit those before and after.
 
     Raises
     ------
@@ -144,7 +147,7 @@ class Video:
         self._threads = threads
         self._standing_warnings: list[str] = []
         self._standing_problems: list[str] = []
-        with open_video(self.path, threads) as (container, stream):
+        with open_video(self.path, threads) as (container, stream, _):
             self.codec: str = stream.codec_context.name
             self.claimed_frames = claimed_frames(stream)
             self._claimed_duration_s = claimed_duration_s(container, stream)
@@ -155,7 +158,7 @@ class Video:
             self._counts_slots = container.format.name == "avi"
             self._is_mp4 = "mp4" in container.format.name
             if is_cut_short(container):
-                self._standing_problems.append("the file ends in the middle of a packet: it is cut short")
+                self._standing_problems.append("the file ends before its last packet does: it is cut short")
             self._has_times = has_times(container)
             first = first_frame(container, stream, self.path)
             self._orientation, self.rotation_deg, warning = orientation(first)
@@ -172,6 +175,7 @@ class Video:
         self.size_wh = displayed[::-1] if self._orientation.transpose else displayed
         self.warnings = list(self._standing_warnings)
         self.complete = True
+        self.doubtful: list[int] = []
 
     def __enter__(self) -> Video:
         return self
@@ -186,7 +190,7 @@ class Video:
         times: list[float] = []
         undecodable_s: list[float] = []
         n_damaged = 0
-        with open_video(self.path, self._threads) as (container, stream):
+        with open_video(self.path, self._threads) as (container, stream, heard):
             decoding = Decoding(
                 container,
                 stream,
@@ -194,7 +198,9 @@ class Video:
                 has_times=self._has_times,
                 slots=self._slots(stream),
                 is_cut=bool(self._standing_problems),
+                heard_at_opening=heard,
             )
+            check = PictureCheck()
             start: int | None = None
             for row in deinterlaced(decoding.rows()):
                 start = row.stamp if start is None else start
@@ -203,6 +209,7 @@ class Video:
                 if row.picture is None:
                     undecodable_s.append(time_s)
                 n_damaged += row.damaged
+                check.add(len(times) - 1, row, time_s)
                 yield Frame(
                     len(times) - 1, time_s, row.picture, self._orientation, row.damaged, self._stretched_wh
                 )
@@ -212,6 +219,13 @@ class Video:
                 n_indexed=len(stream.index_entries) if self._is_mp4 else None,
                 start_s=float((start or 0) * time_base),
                 last_s=float(decoding.last_duration * time_base),
+            )
+        self.doubtful = check.doubtful()
+        self._doubt_times(np.array(times))
+        if self.doubtful:
+            self._incomplete(
+                f"{len(self.doubtful)} frames do not fit those before and after, the first at"
+                f" {times[self.doubtful[0]]:.3f} s: counted as damaged"
             )
         if undecodable_s:
             self._incomplete(
@@ -237,6 +251,14 @@ class Video:
     def _incomplete(self, warning: str) -> None:
         self.complete = False
         self.warnings.append(warning)
+
+    def _doubt_times(self, times: FloatArray) -> None:
+        """Count frames as damaged whose times are not in the order of frames: a wrong time is a wrong row."""
+        if len(times) > 1 and np.any(np.diff(times) < 0):
+            late = times < np.maximum.accumulate(times)
+            early = times > np.minimum.accumulate(times[::-1])[::-1]
+            wrong = early if early.sum() <= late.sum() else late
+            self.doubtful = sorted({*self.doubtful, *np.flatnonzero(wrong).tolist()})
 
     def _slots(self, stream: av.VideoStream) -> ChunkSlots | None:
         """The index of an AVI, None for other files and where there is none."""

@@ -90,7 +90,9 @@ class DiscDetector:
             for k, colour in enumerate(_COLOURS.astype(np.int16)):
                 v, u = np.nonzero(np.abs(signed - colour).sum(axis=2) < _NEAR)
                 if len(u):
-                    xy[n, k] = u.mean(), v.mean()
+                    # Single pixels elsewhere that damage gave the colour do not count.
+                    near = np.hypot(u - np.median(u), v - np.median(v)) < 2 * _RADIUS_PX * max(1, image.shape[0] / 120)
+                    xy[n, k] = u[near].mean(), v[near].mean()
                     likelihood[n, k] = 1.0
         covariance = np.broadcast_to(0.04 * np.eye(2), (len(frames), 4, 2, 2)).copy()
         return Detections(xy, likelihood, covariance)

@@ -1,0 +1,203 @@
+"""Is a picture likely, given the pictures before and after it? For damage that a decoder does not notice.
+
+Most decoders take flipped bits for picture data. The pictures then change in a way that no scene does: for a few
+frames and back; or at once, while the packet is as small as ever; or back again at a key frame, which needs no other
+frame. A few thousand samples of each picture are compared with those before; what follows is decided once the video
+has ended, from a few numbers a frame.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import av
+import numpy as np
+
+from .decoding import Row
+from .types import BoolArray, FloatArray
+
+# Samples along the axes of the luma; chroma has half as many, since damage of colour alone is common.
+_SAMPLES_XY = (80, 60)
+# Grey levels by which a changed sample differs: above the noise of cameras, below what damage does.
+_CHANGED = 14
+# Changed samples are a burst when they are so many times the usual share around, plus so large a share of all.
+_BURST_RATIO, _BURST_SHARE = 1.8, 0.004
+# Frames on each side that say what is usual, and the quantile of them: a few bursts among them do not count.
+_AROUND, _QUANTILE = 16, 50
+# Of fewer frames nothing is usual.
+_LEAST_ROWS = 8
+# A packet carries what has changed when it is larger than usual by this share of what a key frame takes for it.
+_CARRIES = 0.5
+# So many frames in a row are compared with the one before them.
+_FRAMES_BACK = 3
+# Of what changes at a key frame so large a share is as it was a group before, where damage ends.
+_RETURNED = 0.5
+# When more than this share changes, the light or the camera did.
+_EVERYTHING = 0.8
+
+
+class PictureCheck:
+    """Takes the rows of a video in order; at the end says which pictures are doubtful."""
+
+    def __init__(self) -> None:
+        self._rows: list[int] = []  # indices of the rows below
+        self._changed: list[float] = []  # share of samples that differ from the row before
+        self._returned: list[float] = []  # at key frames: share of these that are as they were a group before
+        self._since: dict[tuple[int, int], float] = {}  # (a row, one before it) -> share that differs
+        self._time: list[float] = []
+        self._bytes: list[int] = []
+        self._key: list[bool] = []
+        self._last: deque[np.ndarray] = deque(maxlen=_FRAMES_BACK + 1)
+        self._of_group: tuple[np.ndarray, ...] = ()
+        self._usual, self._n_after_burst = 1.0, 0
+
+    def add(self, index: int, row: Row, time_s: float) -> None:
+        """Take the next row; those without a sound picture are left out.
+
+        Parameters
+        ----------
+        index : int
+            Of the frame.
+        row : Row
+            As decoded.
+        time_s : float
+            Its time, s.
+        """
+        if row.picture is None or row.damaged:
+            return
+        now = _samples(row.picture)
+        if self._last and len(self._last[-1]) != len(now):
+            return
+        place = len(self._rows)
+        changed = returned = 0.0
+        if self._last:
+            different = _different(now, self._last[-1])
+            changed = float(np.count_nonzero(different)) / len(now)
+            if changed > 1.4 * self._usual + _BURST_SHARE / 2:
+                self._n_after_burst = _FRAMES_BACK + 1
+            self._usual += 0.1 * (min(changed, 2 * self._usual + _BURST_SHARE) - self._usual)
+            if self._n_after_burst:
+                self._n_after_burst -= 1
+                for back in range(2, len(self._last) + 1):
+                    apart = np.count_nonzero(_different(now, self._last[-back]))
+                    self._since[place, place - back] = float(apart) / len(now)
+            if row.key and changed and self._of_group:
+                as_before = ~_different(now, self._of_group[0])
+                for other in self._of_group[1:]:
+                    as_before |= ~_different(now, other)
+                returned = float(np.count_nonzero(different & as_before)) / np.count_nonzero(different)
+        if row.key:
+            self._of_group = (*((self._last[-1],) if self._last else ()), now)
+        self._last.append(now)
+        for values, value in (
+            *((self._rows, index), (self._changed, changed), (self._returned, returned)),
+            *((self._time, time_s), (self._bytes, row.size_bytes), (self._key, row.key)),
+        ):
+            values.append(value)  # type: ignore[attr-defined]
+
+    def doubtful(self) -> list[int]:
+        """Indices of the frames that are unlikely, once all rows have been added.
+
+        Returns
+        -------
+        list of int
+            In order.
+        """
+        n = len(self._rows)
+        if n < _LEAST_ROWS:
+            return []
+        changed, key = np.array(self._changed), np.array(self._key)
+        changed[0] = np.nan
+        step_s = np.diff(np.array(self._time), prepend=np.nan)
+        longer = np.maximum(1.0, np.nan_to_num(step_s / max(np.nanmedian(step_s), 1e-9), nan=1.0))
+        usual = _around(changed, _QUANTILE)
+        burst = np.nan_to_num(changed) > _BURST_RATIO * longer * usual + _BURST_SHARE
+        doubtful = self._there_and_back(burst, usual * longer)
+        if not key.all():
+            doubtful |= self._unexplained(burst & ~doubtful & (changed < _EVERYTHING), changed, usual)
+        elif n > 2 * _LEAST_ROWS:
+            # The first and the last have a neighbour on one side only.
+            doubtful[0] |= bool(burst[1]) and not doubtful[1]
+            doubtful[-1] |= bool(burst[-1]) and not doubtful[-2]
+        return [self._rows[place] for place in np.flatnonzero(doubtful)]
+
+    def _there_and_back(self, burst: BoolArray, usual: FloatArray) -> BoolArray:
+        """Pictures unlike the one before them, while one soon after is like it again."""
+        doubtful = np.zeros(len(burst), bool)
+        for first in np.flatnonzero(burst):
+            if doubtful[first] or first == 0:
+                continue
+            for length in range(1, _FRAMES_BACK + 1):
+                after = first + length
+                if after >= len(burst) or not burst[after] and length == 1:
+                    break
+                apart = self._since.get((int(after), int(first) - 1), np.inf)
+                least = min(self._changed[first], self._changed[after])
+                moved = (length + 1) * usual[first]
+                if apart < _BURST_RATIO * moved + _BURST_SHARE and apart < 0.8 * least:
+                    doubtful[first:after] = True
+                    break
+        return doubtful
+
+    def _unexplained(self, burst: BoolArray, changed: FloatArray, usual: FloatArray) -> BoolArray:
+        """Where frames build on each other: from a burst that no packet carries, or to a key frame that undoes one."""
+        key, size = np.array(self._key), np.array(self._bytes, float)
+        doubtful = np.zeros(len(burst), bool)
+        usual_size = _around(np.where(key, np.nan, size), _QUANTILE)
+        keys = np.flatnonzero(key)
+        ends = np.append(keys[keys > 0], len(key))
+        key_size = float(np.median(size[key])) if key.any() else 0.0
+        with np.errstate(invalid="ignore"):
+            carried = size - usual_size > _CARRIES * (changed - usual) * key_size
+        for start in np.flatnonzero(burst & ~key & ~carried):
+            doubtful[start : ends[np.searchsorted(ends, start, side="right")]] = True
+        at_keys = changed[keys[keys > 0]]
+        usual_at_keys = float(np.median(at_keys)) if len(at_keys) > 2 else 0.0
+        spacing = np.diff(keys)
+        regular = float(np.median(spacing)) if len(spacing) else 0.0
+        for number, at in enumerate(keys):
+            if at == 0 or not burst[at] or changed[at] < _BURST_RATIO * usual_at_keys + _BURST_SHARE:
+                continue
+            begin = keys[number - 1] if number else 0
+            end = keys[number + 1] if number + 1 < len(keys) else len(key)
+            if self._returned[at] > _RETURNED or doubtful[begin:at].any():
+                early = np.flatnonzero(burst[begin:at])
+                doubtful[begin + (early[0] if len(early) else 0) : at] = True
+            elif at - begin == regular or number == len(keys) - 1:
+                # An encoder puts a key frame where the scene changes, hardly ever by chance: damage before or after.
+                doubtful[at:end] = True
+                if number == 1:
+                    doubtful[begin:at] = True
+        return doubtful
+
+
+def _samples(picture: av.VideoFrame) -> np.ndarray:
+    """Samples of the planes of a picture, on a grid, (S,) int16; of more than 8 bits the upper 8."""
+    found = []
+    packed = len(picture.planes) == 1
+    for number, plane in enumerate(picture.planes[:3]):
+        bits = picture.format.components[min(number, len(picture.format.components) - 1)].bits
+        wide = 2 if bits > 8 else 1
+        rows = np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)[: plane.height]
+        pixel = max(1, len(picture.format.components)) * wide if packed else wide
+        columns = min(plane.line_size, plane.width * pixel) // wide
+        values = rows.view("<u2") if wide == 2 else rows
+        share = 1 if number == 0 else 2
+        step_y = max(1, plane.height * share // _SAMPLES_XY[1])
+        step_x = max(1, plane.width * share // _SAMPLES_XY[0]) * (pixel // wide)
+        part = values[::step_y, :columns:step_x].ravel().astype(np.int16)
+        found.append(part >> (bits - 8) if bits > 8 else part)
+    return np.concatenate(found)
+
+
+def _different(one: np.ndarray, other: np.ndarray) -> BoolArray:
+    return np.asarray(np.abs(one - other) > _CHANGED)
+
+
+def _around(values: FloatArray, quantile: float) -> FloatArray:
+    """The quantile of the values around each, without its own and its neighbour's; NaN do not count."""
+    padded = np.pad(values, _AROUND, constant_values=np.nan)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * _AROUND + 1).copy()
+    windows[:, _AROUND : _AROUND + 2] = np.nan
+    with np.errstate(invalid="ignore"):
+        return np.nan_to_num(np.nanpercentile(windows, quantile, axis=1))
