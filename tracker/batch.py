@@ -11,7 +11,7 @@ import secrets
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -41,6 +41,9 @@ from .video import spread_frames
 
 PROBE_FRAMES = 32
 """Frames in which an actuator is looked for that nobody has labelled."""
+
+MOST_ELONGATED = 50
+"""Longer over shorter side of a frame beyond which no actuator is looked for: scaled down, nothing is left of it."""
 
 LEAST_SOUND = 0.6
 """Share of the rows without a flag below which a user is warned, where nobody has labelled anything."""
@@ -267,6 +270,9 @@ def measured(
             probe = spread_frames(video, PROBE_FRAMES)
             if not probe:
                 raise VideoError(f"{video}: expected frames that are sound, got none")
+            height, width = probe[0].shape[:2]
+            if max(width, height) > MOST_ELONGATED * min(width, height):
+                raise VideoError(f"{video}: expected a frame in which an actuator fits, got {width} x {height} px")
             detector, definition = batch.localize(probe, progress)
     begun = time.monotonic()
     with batch.counting(video.name, "frames") as progress:
@@ -331,16 +337,17 @@ def check_writable(folder: Path) -> None:
     BendtrackError
         It cannot be written.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     probe = folder / f".{secrets.token_hex(6)}.tmp"
     try:
+        folder.mkdir(parents=True, exist_ok=True)
         probe.write_bytes(b"bendtrack")
     except OSError as error:
         raise BendtrackError(
             f"--out: expected a folder that can be written, got {folder} ({reason(error)})"
         ) from error
     finally:
-        probe.unlink(missing_ok=True)
+        with suppress(OSError):
+            probe.unlink(missing_ok=True)
 
 
 def summarize(table: AngleTable) -> AngleSummary:

@@ -107,16 +107,31 @@ def open_video(path: Path, threads: int) -> Iterator[tuple[InputContainer, av.Vi
         context.thread_count = threads
         context.thread_type = "FRAME"
         context.copy_opaque = True
-        if context.name == "mjpeg":
-            # Finds most flipped bits instead of few. Every frame stands alone, so nothing else is lost; the
-            # other codecs mark what they conceal without it.
-            context.options = {**context.options, "err_detect": "explode"}
+        context.options = {**context.options, **decoder_options(context.name)}
         yield container, stream, complaints(logs)
     finally:
         if threads > 1 and context is not None and context.is_open:
             # Brings the threads to rest while Python runs on: one that logs waits for Python, which would wait for it.
             context.flush_buffers()
         container.close()
+
+
+def decoder_options(codec: str) -> dict[str, str]:
+    """FFmpeg's options with which a decoder finds damage.
+
+    Parameters
+    ----------
+    codec : str
+        FFmpeg's name of the codec.
+
+    Returns
+    -------
+    dict of str to str
+        Options.
+    """
+    # For MJPEG it finds most flipped bits instead of few. Every frame stands alone, so nothing else is lost; the
+    # other codecs mark or log what they conceal without it.
+    return {"err_detect": "explode"} if codec == "mjpeg" else {}
 
 
 def _open(path: Path) -> InputContainer:
