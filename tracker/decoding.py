@@ -101,6 +101,8 @@ class Decoding:
         Whether the last packet is known to be incomplete.
     heard_at_opening : sequence of str
         What FFmpeg said of damage while it probed the file, whose beginning it then kept.
+    damaged_ranges : sequence of (int, int)
+        Bytes of the file that are known to be damaged somewhere: first, and one after the last.
     """
 
     def __init__(
@@ -113,6 +115,7 @@ class Decoding:
         slots: ChunkSlots | None = None,
         is_cut: bool = False,
         heard_at_opening: Sequence[str] = (),
+        damaged_ranges: Sequence[tuple[int, int]] = (),
     ) -> None:
         self.n_hidden = 0
         self.last_duration = 0
@@ -134,10 +137,12 @@ class Decoding:
         # Where FFmpeg counts frames instead of reading their times, a lost one shifts all that follow.
         self._counts_times = not has_times or container.format.name in ("avi", "mxf")
         self._uncertain_from = sys.maxsize  # number of the first packet whose time may be wrong
-        self._damaged_bytes = 0  # packets that begin before this position may be damaged
+        self._damaged_ranges = list(damaged_ranges)
+        if damaged_ranges:
+            self.problems.append(f"{len(damaged_ranges)} parts of the file do not match their checksums")
         for message in heard_at_opening:
             self._heard[message] = 1
-            self._damaged_bytes = _PROBED_BYTES
+            self._damaged_ranges = [(0, _PROBED_BYTES)]
         self._number = self._group = -1
         self._last_stamp: int | None = None
         self._waiting: list[tuple[_Packet, av.VideoFrame | None]] = []  # settled, in presentation order
@@ -213,7 +218,7 @@ class Decoding:
                     self._last_stamp, self.last_duration = stamp, packet.duration or 0
                 if packet.is_corrupt:
                     self._marked_corrupt.add(self._number)
-                if (packet.pos or 0) < self._damaged_bytes:
+                if any(begin <= (packet.pos or 0) < end for begin, end in self._damaged_ranges):
                     self._complained.add(self._number)
                 if not self._has_times and memoryview(packet)[-len(_ZEROES) :] == _ZEROES:
                     self._lose_track()

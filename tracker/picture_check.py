@@ -24,10 +24,13 @@ _CHANGED = 14
 _BURST_RATIO, _BURST_SHARE = 1.8, 0.004
 # Frames on each side that say what is usual, and the quantile of them: a few bursts among them do not count.
 _AROUND, _QUANTILE = 16, 50
+# The same where a file is known to be damaged, against the frames right before and after.
+_STRICT_RATIO, _STRICT_SHARE = 1.3, 0.0015
 # Of fewer frames nothing is usual.
 _LEAST_ROWS = 8
-# A packet carries what has changed when it is larger than usual by this share of what a key frame takes for it.
-_CARRIES = 0.5
+# A packet carries what has changed when it is so many times larger than usual, and by so large a share of what a key
+# frame takes for as much of the picture.
+_LARGER, _CARRIES = 1.5, 0.5
 # So many frames in a row are compared with the one before them.
 _FRAMES_BACK = 3
 # Of what changes at a key frame so large a share is as it was a group before, where damage ends.
@@ -49,7 +52,7 @@ class PictureCheck:
         self._key: list[bool] = []
         self._last: deque[np.ndarray] = deque(maxlen=_FRAMES_BACK + 1)
         self._of_group: tuple[np.ndarray, ...] = ()
-        self._usual, self._n_after_burst = 1.0, 0
+        self._usual, self._n_after_burst = 0.02, 0
 
     def add(self, index: int, row: Row, time_s: float) -> None:
         """Take the next row; those without a sound picture are left out.
@@ -95,8 +98,13 @@ class PictureCheck:
         ):
             values.append(value)  # type: ignore[attr-defined]
 
-    def doubtful(self) -> list[int]:
+    def doubtful(self, *, is_damaged: bool = False) -> list[int]:
         """Indices of the frames that are unlikely, once all rows have been added.
+
+        Parameters
+        ----------
+        is_damaged : bool
+            Whether the file is known to be damaged: then less is believed.
 
         Returns
         -------
@@ -112,6 +120,8 @@ class PictureCheck:
         longer = np.maximum(1.0, np.nan_to_num(step_s / max(np.nanmedian(step_s), 1e-9), nan=1.0))
         usual = _around(changed, _QUANTILE)
         burst = np.nan_to_num(changed) > _BURST_RATIO * longer * usual + _BURST_SHARE
+        if is_damaged:
+            burst |= np.nan_to_num(changed) > _STRICT_RATIO * longer * _next_to(changed) + _STRICT_SHARE
         doubtful = self._there_and_back(burst, usual * longer)
         if not key.all():
             doubtful |= self._unexplained(burst & ~doubtful & (changed < _EVERYTHING), changed, usual)
@@ -148,7 +158,9 @@ class PictureCheck:
         ends = np.append(keys[keys > 0], len(key))
         key_size = float(np.median(size[key])) if key.any() else 0.0
         with np.errstate(invalid="ignore"):
-            carried = size - usual_size > _CARRIES * (changed - usual) * key_size
+            carried = (size > _LARGER * usual_size) & (
+                size - usual_size > _CARRIES * (changed - usual) * key_size
+            )
         for start in np.flatnonzero(burst & ~key & ~carried):
             doubtful[start : ends[np.searchsorted(ends, start, side="right")]] = True
         at_keys = changed[keys[keys > 0]]
@@ -201,3 +213,10 @@ def _around(values: FloatArray, quantile: float) -> FloatArray:
     windows[:, _AROUND : _AROUND + 2] = np.nan
     with np.errstate(invalid="ignore"):
         return np.nan_to_num(np.nanpercentile(windows, quantile, axis=1))
+
+
+def _next_to(values: FloatArray) -> FloatArray:
+    """The median of the two values before and the two after each."""
+    padded = np.pad(values, 2, constant_values=np.nan)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 5)[:, [0, 1, 3, 4]]
+    return np.nan_to_num(np.nanmedian(windows, axis=1))

@@ -34,6 +34,7 @@ from .container import (
 from .decoding import Decoding, Row
 from .deinterlacing import deinterlaced
 from .errors import VideoError
+from .matroska_checksums import damaged_ranges
 from .picture_check import PictureCheck
 from .types import FloatArray, ImageArray
 
@@ -156,6 +157,7 @@ class Video:
             # 25 is FFmpeg's own default for streams without a rate.
             self._nominal_rate = Fraction(rate) if rate else Fraction(25)
             self._counts_slots = container.format.name == "avi"
+            self._is_matroska = "matroska" in container.format.name
             self._is_mp4 = "mp4" in container.format.name
             if is_cut_short(container):
                 self._standing_problems.append("the file ends before its last packet does: it is cut short")
@@ -199,6 +201,7 @@ class Video:
                 slots=self._slots(stream),
                 is_cut=bool(self._standing_problems),
                 heard_at_opening=heard,
+                damaged_ranges=damaged_ranges(self.path) if self._is_matroska else (),
             )
             check = PictureCheck()
             start: int | None = None
@@ -220,7 +223,8 @@ class Video:
                 start_s=float((start or 0) * time_base),
                 last_s=float(decoding.last_duration * time_base),
             )
-        self.doubtful = check.doubtful()
+        is_damaged = bool(undecodable_s or n_damaged or self._standing_problems or decoding.problems)
+        self.doubtful = check.doubtful(is_damaged=is_damaged)
         self._doubt_times(np.array(times))
         if self.doubtful:
             self._incomplete(
