@@ -7,8 +7,8 @@ in time, unless the index tells that it was there. FFmpeg reads the index only w
 from __future__ import annotations
 
 import struct
-from collections import deque
-from collections.abc import Iterable
+from collections import Counter, deque
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,7 +25,7 @@ class IndexedChunk(NamedTuple):
     size: int
 
 
-def index_at_end(path: Path, stream_index: int) -> list[IndexedChunk]:
+def index_at_end(path: Path, stream_index: int) -> tuple[list[IndexedChunk], int]:
     """Read the index at the end of an AVI wherever it lies.
 
     Parameters
@@ -37,25 +37,29 @@ def index_at_end(path: Path, stream_index: int) -> list[IndexedChunk]:
 
     Returns
     -------
-    list of IndexedChunk
+    chunks : list of IndexedChunk
         The stream's chunks in order, also those of size 0, in which the recorder dropped a frame; none where there is
         no index.
+    position : int
+        Where the index lies in the file, bytes.
     """
     with path.open("rb") as file:
         length = file.seek(0, 2)
-        file.seek(max(0, length - _MAX_INDEX_BYTES))
+        begin = max(0, length - _MAX_INDEX_BYTES)
+        file.seek(begin)
         tail = file.read()
     at = tail.rfind(b"idx1")
     if at < 0 or at + 8 > len(tail):
-        return []
+        return [], length
     (size,) = struct.unpack_from("<I", tail, at + 4)
     entries = tail[at + 8 : at + 8 + size]
     own = f"{stream_index:02d}".encode()
-    return [
+    chunks = [
         IndexedChunk(position, chunk_size)
         for name, _, position, chunk_size in struct.iter_unpack("<4sIII", entries[: len(entries) // 16 * 16])
         if name[:2] == own and name[2:] not in (b"pc", b"ix")
     ]
+    return chunks, begin + at
 
 
 class ChunkSlots:
@@ -63,13 +67,24 @@ class ChunkSlots:
 
     Parameters
     ----------
-    index : iterable of IndexedChunk
-        The stream's index.
+    index : sequence of IndexedChunk
+        The stream's index, at least one chunk.
+    index_position : int
+        Where the index lies in the file, bytes.
+
+    Attributes
+    ----------
+    is_uncertain : bool
+        Chunks are missing from the file, and all have one size: nothing tells which. Known after the first chunk.
     """
 
-    def __init__(self, index: Iterable[IndexedChunk]) -> None:
+    def __init__(self, index: Sequence[IndexedChunk], index_position: int) -> None:
+        self.is_uncertain = False
         self._left = deque(enumerate(index))
         self._shift: int | None = None
+        self._span = index[-1].position + index[-1].size - index[0].position
+        self._index_position = index_position
+        self._of_one_size = Counter(chunk.size for chunk in index).most_common(1)[0][1] > len(index) / 4
 
     def lost_before(self, position: int, size: int) -> tuple[list[int], int | None]:
         """Match the next chunk of the file to the index.
@@ -93,6 +108,9 @@ class ChunkSlots:
             shift = chunk.position - position
             # Bytes that are missing make positions in the file smaller than in the index, never larger.
             if chunk.size == size and size and (self._shift is None or shift >= self._shift):
+                if self._shift is None:
+                    is_short = self._span > self._index_position - position
+                    self.is_uncertain = is_short and self._of_one_size
                 self._shift = shift
                 for _ in range(ahead + 1):
                     self._left.popleft()

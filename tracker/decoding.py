@@ -56,6 +56,8 @@ class Row:
         Whether the file marks the frame as a key frame.
     size_bytes : int
         Of its packet.
+    position : int
+        Of its packet in the file, bytes; -1 where that is not known.
     """
 
     stamp: int | None
@@ -63,6 +65,7 @@ class Row:
     damaged: bool = False
     key: bool = True
     size_bytes: int = 0
+    position: int = -1
 
 
 @dataclass(frozen=True)
@@ -73,6 +76,7 @@ class _Packet:
     leading: bool  # shown before its group's key frame, so it may also build on the group before
     key: bool = False
     size: int = 0  # bytes
+    position: int = -1  # in the file, bytes
 
 
 class Decoding:
@@ -101,8 +105,6 @@ class Decoding:
         Whether the last packet is known to be incomplete.
     heard_at_opening : sequence of str
         What FFmpeg said of damage while it probed the file, whose beginning it then kept.
-    damaged_ranges : sequence of (int, int)
-        Bytes of the file that are known to be damaged somewhere: first, and one after the last.
     """
 
     def __init__(
@@ -115,7 +117,6 @@ class Decoding:
         slots: ChunkSlots | None = None,
         is_cut: bool = False,
         heard_at_opening: Sequence[str] = (),
-        damaged_ranges: Sequence[tuple[int, int]] = (),
     ) -> None:
         self.n_hidden = 0
         self.last_duration = 0
@@ -137,12 +138,10 @@ class Decoding:
         # Where FFmpeg counts frames instead of reading their times, a lost one shifts all that follow.
         self._counts_times = not has_times or container.format.name in ("avi", "mxf")
         self._uncertain_from = sys.maxsize  # number of the first packet whose time may be wrong
-        self._damaged_ranges = list(damaged_ranges)
-        if damaged_ranges:
-            self.problems.append(f"{len(damaged_ranges)} parts of the file do not match their checksums")
+        self._damaged_bytes = 0  # packets that begin before this position may be damaged
         for message in heard_at_opening:
             self._heard[message] = 1
-            self._damaged_ranges = [(0, _PROBED_BYTES)]
+            self._damaged_bytes = _PROBED_BYTES
         self._number = self._group = -1
         self._last_stamp: int | None = None
         self._waiting: list[tuple[_Packet, av.VideoFrame | None]] = []  # settled, in presentation order
@@ -212,13 +211,13 @@ class Decoding:
                     self._group, key_stamp = self._group + 1, stamp
                 leading = stamp is not None and key_stamp is not None and stamp < key_stamp
                 self._pending[self._number] = _Packet(
-                    self._number, stamp, self._group, leading, packet.is_keyframe, packet.size
+                    self._number, stamp, self._group, leading, packet.is_keyframe, packet.size, _position(packet)
                 )
                 if stamp is not None and (self._last_stamp is None or stamp >= self._last_stamp):
                     self._last_stamp, self.last_duration = stamp, packet.duration or 0
                 if packet.is_corrupt:
                     self._marked_corrupt.add(self._number)
-                if any(begin <= (packet.pos or 0) < end for begin, end in self._damaged_ranges):
+                if _position(packet) < self._damaged_bytes:
                     self._complained.add(self._number)
                 if not self._has_times and memoryview(packet)[-len(_ZEROES) :] == _ZEROES:
                     self._lose_track()
@@ -227,7 +226,9 @@ class Decoding:
 
     def _hear_reader(self, logs: list[tuple[int, str, str]]) -> None:
         """Note errors while reading: packets may be lost here, on which the rest of the group builds."""
-        for message in complaints(logs):
+        # The reader's own words; what a parser of the codec says, the decoder says again.
+        readers = ("", self._container.format.name)
+        for message in complaints([log for log in logs if log[1] in readers]):
             # Positions and numbers make every message a new one.
             kind = _NUMBERS.sub("...", message)
             self._heard[kind] = self._heard.get(kind, 0) + 1
@@ -251,6 +252,8 @@ class Decoding:
         slot = packet.dts
         if self._index is not None and packet.pos is not None:
             lost, known = self._index.lost_before(packet.pos, packet.size)
+            if self._index.is_uncertain:
+                self._uncertain_from = 0
             if known is not None:
                 for lost_slot in lost if self._number >= 0 else ():
                     self._add_lost(lost_slot)
@@ -336,7 +339,7 @@ class Decoding:
             self._damage[packet.group] = min(self._damage.get(packet.group, packet.number), packet.number)
         place = len(self._waiting)
         if picture is None:
-            if self._container.format.name == "mxf":
+            if self._counts_times and self._slots is None:
                 self._uncertain_from = min(self._uncertain_from, packet.number + 1)
             self._damage[packet.group] = min(self._damage.get(packet.group, packet.number), packet.number)
             if self._time_of(packet) is None:  # its place is then known to within the reordering
@@ -364,8 +367,13 @@ class Decoding:
                 and (complained or self._builds_on_damage(packet) or packet.number >= self._uncertain_from),
                 key=packet.key,
                 size_bytes=packet.size,
+                position=packet.position,
             )
 
     def _builds_on_damage(self, packet: _Packet) -> bool:
         in_group = self._damage.get(packet.group, packet.number) < packet.number
         return in_group or (packet.leading and packet.group - 1 in self._damage)
+
+
+def _position(packet: av.Packet) -> int:
+    return -1 if packet.pos is None else packet.pos

@@ -8,6 +8,7 @@ has ended, from a few numbers a frame.
 
 from __future__ import annotations
 
+from array import array
 from collections import deque
 
 import av
@@ -22,10 +23,10 @@ _SAMPLES_XY = (80, 60)
 _CHANGED = 14
 # Changed samples are a burst when they are so many times the usual share around, plus so large a share of all.
 _BURST_RATIO, _BURST_SHARE = 1.8, 0.004
-# Frames on each side that say what is usual, and the quantile of them: a few bursts among them do not count.
-_AROUND, _QUANTILE = 16, 50
+# Frames on each side whose median says what is usual.
+_AROUND = 16
 # The same where a file is known to be damaged, against the frames right before and after.
-_STRICT_RATIO, _STRICT_SHARE = 1.3, 0.0015
+_STRICT_RATIO, _STRICT_SHARE = 1.5, 0.003
 # Of fewer frames nothing is usual.
 _LEAST_ROWS = 8
 # A packet carries what has changed when it is so many times larger than usual, and by so large a share of what a key
@@ -37,19 +38,20 @@ _FRAMES_BACK = 3
 _RETURNED = 0.5
 # When more than this share changes, the light or the camera did.
 _EVERYTHING = 0.8
+_BLOCK = 512  # rows at a time, so that memory does not grow with the video
 
 
 class PictureCheck:
     """Takes the rows of a video in order; at the end says which pictures are doubtful."""
 
     def __init__(self) -> None:
-        self._rows: list[int] = []  # indices of the rows below
-        self._changed: list[float] = []  # share of samples that differ from the row before
-        self._returned: list[float] = []  # at key frames: share of these that are as they were a group before
+        self._rows = array("q")  # indices of the rows below
+        self._changed = array("d")  # share of samples that differ from the row before
+        self._returned = array("d")  # at key frames: share of these that are as they were a group before
         self._since: dict[tuple[int, int], float] = {}  # (a row, one before it) -> share that differs
-        self._time: list[float] = []
-        self._bytes: list[int] = []
-        self._key: list[bool] = []
+        self._time = array("d")
+        self._bytes = array("q")
+        self._key = array("b")
         self._last: deque[np.ndarray] = deque(maxlen=_FRAMES_BACK + 1)
         self._of_group: tuple[np.ndarray, ...] = ()
         self._usual, self._n_after_burst = 0.02, 0
@@ -92,11 +94,12 @@ class PictureCheck:
         if row.key:
             self._of_group = (*((self._last[-1],) if self._last else ()), now)
         self._last.append(now)
-        for values, value in (
-            *((self._rows, index), (self._changed, changed), (self._returned, returned)),
-            *((self._time, time_s), (self._bytes, row.size_bytes), (self._key, row.key)),
-        ):
-            values.append(value)  # type: ignore[attr-defined]
+        self._rows.append(index)
+        self._changed.append(changed)
+        self._returned.append(returned)
+        self._time.append(time_s)
+        self._bytes.append(row.size_bytes)
+        self._key.append(row.key)
 
     def doubtful(self, *, is_damaged: bool = False) -> list[int]:
         """Indices of the frames that are unlikely, once all rows have been added.
@@ -114,11 +117,11 @@ class PictureCheck:
         n = len(self._rows)
         if n < _LEAST_ROWS:
             return []
-        changed, key = np.array(self._changed), np.array(self._key)
+        changed, key = np.array(self._changed), np.array(self._key, bool)
         changed[0] = np.nan
         step_s = np.diff(np.array(self._time), prepend=np.nan)
         longer = np.maximum(1.0, np.nan_to_num(step_s / max(np.nanmedian(step_s), 1e-9), nan=1.0))
-        usual = _around(changed, _QUANTILE)
+        usual = _around(changed)
         burst = np.nan_to_num(changed) > _BURST_RATIO * longer * usual + _BURST_SHARE
         if is_damaged:
             burst |= np.nan_to_num(changed) > _STRICT_RATIO * longer * _next_to(changed) + _STRICT_SHARE
@@ -151,9 +154,9 @@ class PictureCheck:
 
     def _unexplained(self, burst: BoolArray, changed: FloatArray, usual: FloatArray) -> BoolArray:
         """Where frames build on each other: from a burst that no packet carries, or to a key frame that undoes one."""
-        key, size = np.array(self._key), np.array(self._bytes, float)
+        key, size = np.array(self._key, bool), np.array(self._bytes, float)
         doubtful = np.zeros(len(burst), bool)
-        usual_size = _around(np.where(key, np.nan, size), _QUANTILE)
+        usual_size = _around(np.where(key, np.nan, size))
         keys = np.flatnonzero(key)
         ends = np.append(keys[keys > 0], len(key))
         key_size = float(np.median(size[key])) if key.any() else 0.0
@@ -206,17 +209,25 @@ def _different(one: np.ndarray, other: np.ndarray) -> BoolArray:
     return np.asarray(np.abs(one - other) > _CHANGED)
 
 
-def _around(values: FloatArray, quantile: float) -> FloatArray:
-    """The quantile of the values around each, without its own and its neighbour's; NaN do not count."""
-    padded = np.pad(values, _AROUND, constant_values=np.nan)
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * _AROUND + 1).copy()
-    windows[:, _AROUND : _AROUND + 2] = np.nan
-    with np.errstate(invalid="ignore"):
-        return np.nan_to_num(np.nanpercentile(windows, quantile, axis=1))
+def _around(values: FloatArray) -> FloatArray:
+    """The median of the values around each, without its own and its neighbour's; NaN do not count, 0 without any."""
+    return _median_of_windows(values, _AROUND, without=(_AROUND, _AROUND + 1))
 
 
 def _next_to(values: FloatArray) -> FloatArray:
     """The median of the two values before and the two after each."""
-    padded = np.pad(values, 2, constant_values=np.nan)
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 5)[:, [0, 1, 3, 4]]
-    return np.nan_to_num(np.nanmedian(windows, axis=1))
+    return _median_of_windows(values, 2, without=(2,))
+
+
+def _median_of_windows(values: FloatArray, reach: int, without: tuple[int, ...]) -> FloatArray:
+    padded = np.pad(values, reach, constant_values=np.nan)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1)
+    found = np.zeros(len(values))
+    for begin in range(0, len(values), _BLOCK):
+        block = windows[begin : begin + _BLOCK].copy()
+        block[:, list(without)] = np.nan
+        block.sort(axis=1)  # NaN last
+        known = (~np.isnan(block)).sum(axis=1)
+        middle = np.take_along_axis(block, np.maximum(known - 1, 0)[:, None] // 2, axis=1)[:, 0]
+        found[begin : begin + _BLOCK] = np.where(known > 0, middle, 0.0)
+    return found

@@ -65,6 +65,27 @@ class _Found:
     last_s: float
 
 
+class _Clusters:
+    """Frames in the clusters of a Matroska file that do not match their checksums: any of them may be damaged."""
+
+    def __init__(self, ranges: list[tuple[int, int]]) -> None:
+        self.ranges = ranges
+        self._frames: list[list[int]] = [[] for _ in ranges]
+        self._is_located = [False] * len(ranges)
+
+    def add(self, index: int, row: Row) -> None:
+        """Take the next row."""
+        for number, (begin, end) in enumerate(self.ranges):
+            if begin <= row.position < end:
+                self._frames[number].append(index)
+                self._is_located[number] |= row.picture is None or row.damaged
+
+    def doubtful(self) -> list[int]:
+        """Indices of all frames of the clusters in which the decoder did not find the damage."""
+        lost = zip(self._frames, self._is_located, strict=True)
+        return [index for frames, is_located in lost if not is_located for index in frames]
+
+
 @dataclass(frozen=True)
 class Frame:
     """One frame of a video.
@@ -201,9 +222,9 @@ class Video:
                 slots=self._slots(stream),
                 is_cut=bool(self._standing_problems),
                 heard_at_opening=heard,
-                damaged_ranges=damaged_ranges(self.path) if self._is_matroska else (),
             )
             check = PictureCheck()
+            clusters = _Clusters(damaged_ranges(self.path) if self._is_matroska else [])
             start: int | None = None
             for row in deinterlaced(decoding.rows()):
                 start = row.stamp if start is None else start
@@ -213,6 +234,7 @@ class Video:
                     undecodable_s.append(time_s)
                 n_damaged += row.damaged
                 check.add(len(times) - 1, row, time_s)
+                clusters.add(len(times) - 1, row)
                 yield Frame(
                     len(times) - 1, time_s, row.picture, self._orientation, row.damaged, self._stretched_wh
                 )
@@ -223,14 +245,14 @@ class Video:
                 start_s=float((start or 0) * time_base),
                 last_s=float(decoding.last_duration * time_base),
             )
-        is_damaged = bool(undecodable_s or n_damaged or self._standing_problems or decoding.problems)
+        is_damaged = bool(undecodable_s or n_damaged or clusters.ranges or self._standing_problems or decoding.problems)
         self.doubtful = check.doubtful(is_damaged=is_damaged)
+        if self.doubtful and not is_damaged:
+            self.doubtful = check.doubtful(is_damaged=True)
+        if clusters.ranges:
+            self._incomplete(f"{len(clusters.ranges)} parts of the file do not match their checksums")
+            self.doubtful = sorted({*self.doubtful, *clusters.doubtful()})
         self._doubt_times(np.array(times))
-        if self.doubtful:
-            self._incomplete(
-                f"{len(self.doubtful)} frames do not fit those before and after, the first at"
-                f" {times[self.doubtful[0]]:.3f} s: counted as damaged"
-            )
         if undecodable_s:
             self._incomplete(
                 f"{len(undecodable_s)} of {len(times)} frames could not be decoded, "
@@ -238,6 +260,11 @@ class Video:
             )
         if n_damaged:
             self._incomplete(f"{n_damaged} frames are damaged, or were decoded from frames that are")
+        if self.doubtful:
+            self._incomplete(
+                f"{len(self.doubtful)} frames do not fit those before and after, the first at"
+                f" {times[self.doubtful[0]]:.3f} s: counted as damaged"
+            )
         for problem in (*self._standing_problems, *decoding.problems):
             self._incomplete(problem)
         self._compare_with_claims(np.array(times), found)
@@ -268,8 +295,8 @@ class Video:
         """The index of an AVI, None for other files and where there is none."""
         if not self._counts_slots:
             return None
-        index = index_at_end(self.path, stream.index)
-        return ChunkSlots(index) if index else None
+        index, position = index_at_end(self.path, stream.index)
+        return ChunkSlots(index, position) if index else None
 
     def _compare_with_claims(self, times: FloatArray, found: _Found) -> None:
         steps = np.diff(times)

@@ -124,4 +124,6 @@ def damaged_films() -> Iterator[tuple[str, str, str]]:
     """(codec, container, damage) of every damaged film; bases in the outer loop."""
     for codec, suffix in BASES:
         for name in DAMAGES:
-            yield codec, suffix, name
+            # An elementary stream without one of its pictures is a sound stream.
+            if (suffix, name) != (".mjpeg", "lost"):
+                yield codec, suffix, name
