@@ -79,6 +79,11 @@ class _Packet:
     position: int = -1  # in the file, bytes
 
 
+def packets_of(container: InputContainer, stream: av.VideoStream) -> Iterator[av.Packet]:
+    """The packets of a stream, as PyAV reads them."""
+    return container.demux(stream)
+
+
 class Decoding:
     """One pass through an open video (see `container.open_video`).
 
@@ -186,7 +191,7 @@ class Decoding:
     def _packets(self) -> Iterator[av.Packet]:
         """The stream's packets, those to be shown numbered and noted as pending."""
         key_stamp: int | None = None
-        packets = self._container.demux(self._stream)
+        packets = packets_of(self._container, self._stream)
         while True:
             try:
                 with av.logging.Capture() as logs:
@@ -217,7 +222,7 @@ class Decoding:
                     self._last_stamp, self.last_duration = stamp, packet.duration or 0
                 if packet.is_corrupt:
                     self._marked_corrupt.add(self._number)
-                if _position(packet) < self._damaged_bytes:
+                if max(0, _position(packet)) < self._damaged_bytes:
                     self._complained.add(self._number)
                 if not self._has_times and memoryview(packet)[-len(_ZEROES) :] == _ZEROES:
                     self._lose_track()

@@ -26,7 +26,7 @@ _BURST_RATIO, _BURST_SHARE = 1.8, 0.004
 # Frames on each side whose median says what is usual.
 _AROUND = 16
 # The same where a file is known to be damaged, against the frames right before and after.
-_STRICT_RATIO, _STRICT_SHARE = 1.5, 0.003
+_STRICT_RATIO, _STRICT_SHARE = 1.2, 0.008
 # Of fewer frames nothing is usual.
 _LEAST_ROWS = 8
 # A packet carries what has changed when it is so many times larger than usual, and by so large a share of what a key

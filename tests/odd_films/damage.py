@@ -91,6 +91,8 @@ DAMAGES: dict[str, Damage] = {
     "anywhere": _anywhere(6),
 }
 
+WITHOUT_CHANCE = ("cut_99", "cut_90", "cut_50")
+
 BASES: tuple[tuple[str, str], ...] = (
     *(("h264", ".mp4"), ("h264b", ".mp4"), ("h264", ".mkv"), ("h264", ".avi"), ("h264", ".ts"), ("h264b", ".flv")),
     *(("hevc", ".mp4"), ("hevc", ".ts"), ("mpeg4", ".avi"), ("mpeg4", ".mp4"), ("mjpeg", ".avi"), ("mjpeg", ".mov")),

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 
-from .encoding import Recipe
+from .encoding import Recipe, write
 from .scene import FRAMES, RATE
 
 _X264 = {"g": "10", "crf": "18", "preset": "ultrafast"}
@@ -70,6 +71,8 @@ _CONTAINERS: dict[str, tuple[str, ...]] = {
     ".y4m": ("rawvideo",),
 }
 _FORMATS = {".hevc": "hevc", ".obu": "obu", ".wmv": "asf", ".m4v": "m4v", ".y4m": "yuv4mpegpipe"}
+# A title, and what a program that writes the signs of its own land makes of it, in as many bytes.
+_LATIN_1 = ("MUELLER versuch", b"M\xfcLLER  versuch")
 WITHOUT_TIMES = (".h264", ".hevc", ".mjpeg", ".obu", ".m2v")
 """Elementary streams: times must be said to be counted."""
 
@@ -83,6 +86,14 @@ def recipe(codec: str, suffix: str) -> Recipe:
     return Recipe(
         _WRAPPED.get((suffix, codec), encoder), suffix, pix_fmt, options=options, format=_FORMATS.get(suffix)
     )
+
+
+def write_film(name: str, recipe: Recipe, folder: Path) -> Path:
+    """Write a sound film into a folder."""
+    path = write(recipe, folder / name)
+    if recipe.metadata:
+        path.write_bytes(path.read_bytes().replace(_LATIN_1[0].encode(), _LATIN_1[1]))
+    return path
 
 
 def sound_films() -> Iterator[tuple[str, Recipe]]:
@@ -181,11 +192,6 @@ def _contained() -> Iterator[tuple[str, Recipe]]:
     yield "sliced.mp4", replace(plain, options={**_X264, "x264-params": "slices=4"})
     yield "open_groups.mp4", replace(plain, options={**_X264, "bf": "3", "x264-params": "open-gop=1:keyint=10"})
     yield "lookahead.webm", replace(recipe("vp8", ".webm"), options={"auto-alt-ref": "1", "lag-in-frames": "16", "cpu-used": "5", "b": "2M"})
-    # Titles by programs that write the signs of their own land: the marks are replaced in the bytes of the file.
     for suffix in (".mp4", ".mkv", ".avi", ".mov", ".flv"):
         codec = "mpeg4" if suffix in (".mp4", ".mov", ".avi") else "h264"
-        yield f"latin1_title{suffix}", replace(recipe(codec, suffix), metadata={"title": LATIN_1_MARK})
-
-
-LATIN_1_MARK = "MUELLER versuch"
-"""Stands in a title for what is not UTF-8: its first seven bytes are replaced once the file is written."""
+        yield f"latin1_title{suffix}", replace(recipe(codec, suffix), metadata={"title": _LATIN_1[0]})
