@@ -4,9 +4,9 @@
     python benchmarks/films.py --only vp9 --seeds 1     films with this in their name
     python benchmarks/films.py --list                   also a line for each film that is not right
 
-The films are drawn and encoded here (`tests/odd_films`), four coloured discs that turn by a known angle; a detector that
-needs no network finds the discs. Goals: no row without a flag wrong by more than a degree, no film short without a word,
-no traceback, no sound film called damaged.
+The films are drawn and encoded here (`tests/odd_films`): four coloured discs that turn by a known angle. A detector
+that needs no network finds the discs. Goals: no row without a flag wrong by more than a degree, no film short without
+a word, no traceback, no sound film called damaged.
 """
 
 from __future__ import annotations
@@ -31,7 +31,9 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--only", default="", help="part of the names of films")
-    parser.add_argument("--seeds", type=int, default=2, help="copies of each kind of damage that chance decides")
+    parser.add_argument(
+        "--seeds", type=int, default=2, help="copies of each kind of damage that chance decides"
+    )
     parser.add_argument("--list", action="store_true", help="a line for each film that is not right")
     args = parser.parse_args()
 
@@ -43,7 +45,8 @@ def main() -> None:
             for name, judged in films.items():
                 if judged.verdict != Verdict.RIGHT:
                     print(_line(name, judged))
-    print(f"{'films':10s}{'tried':>7s}{'right':>7s}{'said':>7s}{'silent':>8s}{'short':>7s}{'tracebacks':>12s}{'wrong rows':>18s}")
+    print(f"{'films':10s}{'tried':>7s}{'right':>7s}{'said':>7s}{'silent':>8s}{'short':>7s}", end="")
+    print(f"{'tracebacks':>12s}{'wrong rows':>18s}")
     for kind, films in found.items():
         count = Counter(judged.verdict for judged in films.values())
         wrong = f"{sum(j.wrong for j in films.values())} of {sum(j.rows for j in films.values())}"

@@ -217,13 +217,13 @@ def track_batch(batch: Batch, videos: Sequence[Path]) -> Iterator[VideoOutcome]:
             except Exception as error:
                 yield VideoOutcome(video, State.FAILED, problem=_problem(video, error), error=error)
         figures.wait()
-        for video, error in figures.errors:
-            if not isinstance(error, BendtrackError):
-                problem = f"its table is written, its figure is not ({_problem(video, error)})"
-                yield VideoOutcome(video, State.FAILED, problem=problem, error=error)
-        for _, error in figures.errors:
-            if isinstance(error, BendtrackError):
-                raise error
+        for video, failure in figures.errors:
+            if not isinstance(failure, BendtrackError):
+                problem = f"its table is written, its figure is not ({_problem(video, failure)})"
+                yield VideoOutcome(video, State.FAILED, problem=problem, error=failure)
+        for _, failure in figures.errors:
+            if isinstance(failure, BendtrackError):
+                raise failure
 
 
 def measured(
@@ -272,7 +272,9 @@ def measured(
                 raise VideoError(f"{video}: expected frames that are sound, got none")
             height, width = probe[0].shape[:2]
             if max(width, height) > MOST_ELONGATED * min(width, height):
-                raise VideoError(f"{video}: expected a frame in which an actuator fits, got {width} x {height} px")
+                raise VideoError(
+                    f"{video}: expected a frame in which an actuator fits, got {width} x {height} px"
+                )
             detector, definition = batch.localize(probe, progress)
     begun = time.monotonic()
     with batch.counting(video.name, "frames") as progress:
@@ -407,7 +409,9 @@ def _problem(video: Path, error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     lines = str(error).split("\n")
-    return f"cannot be measured ({type(error).__name__}: {' '.join(' '.join(lines).split())[:_LONGEST_REASON]})"
+    return (
+        f"cannot be measured ({type(error).__name__}: {' '.join(' '.join(lines).split())[:_LONGEST_REASON]})"
+    )
 
 
 def _track_one(batch: Batch, video: Path, figures: _Figures) -> VideoOutcome:

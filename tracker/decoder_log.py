@@ -12,7 +12,13 @@ from collections.abc import Sequence
 import av
 
 # Below errors, FFmpeg mixes habits of encoders with damage. These are damage.
-_WARNINGS_OF_DAMAGE = ("Skipping invalid", "EOI missing", "ignoring overflow", "CABAC_MAX_BIN", "Packet corrupt")
+_WARNINGS_OF_DAMAGE = (
+    "Skipping invalid",
+    "EOI missing",
+    "ignoring overflow",
+    "CABAC_MAX_BIN",
+    "Packet corrupt",
+)
 # Errors that sound films give, too: a stream that is joined in the middle, or written by a careless recorder.
 _ERRORS_OF_SOUND_FILMS = (
     *("co located POCs unavailable", "mmco: unref short failure", "number of reference frames"),

@@ -19,6 +19,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -216,7 +217,13 @@ class Decoding:
                     self._group, key_stamp = self._group + 1, stamp
                 leading = stamp is not None and key_stamp is not None and stamp < key_stamp
                 self._pending[self._number] = _Packet(
-                    self._number, stamp, self._group, leading, packet.is_keyframe, packet.size, _position(packet)
+                    self._number,
+                    stamp,
+                    self._group,
+                    leading,
+                    packet.is_keyframe,
+                    packet.size,
+                    _position(packet),
                 )
                 if stamp is not None and (self._last_stamp is None or stamp >= self._last_stamp):
                     self._last_stamp, self.last_duration = stamp, packet.duration or 0
@@ -231,6 +238,8 @@ class Decoding:
 
     def _hear_reader(self, logs: list[tuple[int, str, str]]) -> None:
         """Note errors while reading: packets may be lost here, on which the rest of the group builds."""
+        if not logs:
+            return
         # The reader's own words; what a parser of the codec says, the decoder says again.
         readers = ("", self._container.format.name)
         for message in complaints([log for log in logs if log[1] in readers]):
@@ -287,11 +296,9 @@ class Decoding:
         if packet is not None and packet.size == 0:
             return
         pictures: list[av.VideoFrame] = []
-        with av.logging.Capture() as logs:
-            try:
-                pictures = self._stream.codec_context.decode(packet)
-            except av.FFmpegError:
-                pass  # its number stays pending and is given up in time
+        # Where it fails, the packet's number stays pending and is given up in time.
+        with av.logging.Capture() as logs, suppress(av.FFmpegError):
+            pictures = self._stream.codec_context.decode(packet)
         if logs and self._hears_decoder and packet is not None and complaints(logs):
             number = cast(int | None, packet.opaque)
             if number is None:  # not shown, but others may build on it

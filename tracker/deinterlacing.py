@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from fractions import Fraction
+from typing import cast
 
 import av
 import av.filter
@@ -59,7 +61,7 @@ class _Run:
             width=first.picture.width,
             height=first.picture.height,
             format=first.picture.format,
-            time_base=first.picture.time_base or av.time_base,
+            time_base=first.picture.time_base or Fraction(1, 25),
         )
         filter, sink = self._graph.add(*_FILTER), self._graph.add("buffersink")
         source.link_to(filter)
@@ -83,7 +85,7 @@ class _Run:
     def _known(self) -> Iterator[Row]:
         while self._waiting:
             try:
-                picture = self._graph.pull()
+                picture = cast(av.VideoFrame, self._graph.pull())
             except (av.BlockingIOError, av.EOFError):
                 return
             yield replace(self._waiting.pop(0), picture=picture)

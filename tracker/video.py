@@ -223,7 +223,7 @@ class Video:
                 is_cut=bool(self._standing_problems),
                 heard_at_opening=heard,
             )
-            check = PictureCheck()
+            check = PictureCheck(self.codec)
             clusters = _Clusters(damaged_ranges(self.path) if self._is_matroska else [])
             start: int | None = None
             for row in deinterlaced(decoding.rows()):
@@ -234,7 +234,8 @@ class Video:
                     undecodable_s.append(time_s)
                 n_damaged += row.damaged
                 check.add(len(times) - 1, row, time_s)
-                clusters.add(len(times) - 1, row)
+                if clusters.ranges:
+                    clusters.add(len(times) - 1, row)
                 yield Frame(
                     len(times) - 1, time_s, row.picture, self._orientation, row.damaged, self._stretched_wh
                 )
@@ -245,7 +246,9 @@ class Video:
                 start_s=float((start or 0) * time_base),
                 last_s=float(decoding.last_duration * time_base),
             )
-        is_damaged = bool(undecodable_s or n_damaged or clusters.ranges or self._standing_problems or decoding.problems)
+        is_damaged = bool(
+            undecodable_s or n_damaged or clusters.ranges or self._standing_problems or decoding.problems
+        )
         self.doubtful = check.doubtful(is_damaged=is_damaged)
         if self.doubtful and not is_damaged:
             self.doubtful = check.doubtful(is_damaged=True)

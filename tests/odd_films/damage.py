@@ -94,9 +94,30 @@ DAMAGES: dict[str, Damage] = {
 WITHOUT_CHANCE = ("cut_99", "cut_90", "cut_50")
 
 BASES: tuple[tuple[str, str], ...] = (
-    *(("h264", ".mp4"), ("h264b", ".mp4"), ("h264", ".mkv"), ("h264", ".avi"), ("h264", ".ts"), ("h264b", ".flv")),
-    *(("hevc", ".mp4"), ("hevc", ".ts"), ("mpeg4", ".avi"), ("mpeg4", ".mp4"), ("mjpeg", ".avi"), ("mjpeg", ".mov")),
-    *(("vp8", ".webm"), ("vp9", ".webm"), ("vp9", ".mp4"), ("av1", ".mkv"), ("av1", ".mp4"), ("ffv1", ".mkv")),
+    *(
+        ("h264", ".mp4"),
+        ("h264b", ".mp4"),
+        ("h264", ".mkv"),
+        ("h264", ".avi"),
+        ("h264", ".ts"),
+        ("h264b", ".flv"),
+    ),
+    *(
+        ("hevc", ".mp4"),
+        ("hevc", ".ts"),
+        ("mpeg4", ".avi"),
+        ("mpeg4", ".mp4"),
+        ("mjpeg", ".avi"),
+        ("mjpeg", ".mov"),
+    ),
+    *(
+        ("vp8", ".webm"),
+        ("vp9", ".webm"),
+        ("vp9", ".mp4"),
+        ("av1", ".mkv"),
+        ("av1", ".mp4"),
+        ("ffv1", ".mkv"),
+    ),
     *(("ffv1g", ".mkv"), ("huffyuv", ".avi"), ("prores", ".mov"), ("rawvideo", ".avi"), ("mpeg2", ".mxf")),
     *(("mpeg2", ".mpg"), ("wmv2", ".wmv"), ("mjpeg", ".mjpeg"), ("hevc", ".mkv")),
 )

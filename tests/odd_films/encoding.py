@@ -81,9 +81,7 @@ class Recipe:
 def write(recipe: Recipe, path: Path) -> Path:
     """Encode the scene. The picture at t seconds after the first one shows `scene.angle_deg(t)`."""
     times_s = recipe.frame_times_s
-    with av.open(
-        str(path), "w", format=recipe.format, options=dict(recipe.container_options)
-    ) as container:
+    with av.open(str(path), "w", format=recipe.format, options=dict(recipe.container_options)) as container:
         for key, value in recipe.metadata.items():
             container.metadata[key] = value
         stream = container.add_stream(recipe.codec, rate=recipe.rate, options=dict(recipe.options))
@@ -167,4 +165,6 @@ def _add_silence(container: av.container.OutputContainer, sound: av.AudioStream,
 def packet_places(path: Path) -> list[tuple[int, int]]:
     """(position, size) in the file of each video packet, in decoding order; those without a position are left out."""
     with av.open(str(path), metadata_errors="replace") as container:
-        return [(p.pos, p.size) for p in container.demux(video=0) if p.size and p.pos is not None and p.pos >= 0]
+        return [
+            (p.pos, p.size) for p in container.demux(video=0) if p.size and p.pos is not None and p.pos >= 0
+        ]

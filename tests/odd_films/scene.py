@@ -43,7 +43,11 @@ def centres_xy(angle: float, size_wh: tuple[int, int] = SIZE_WH) -> np.ndarray:
 
 
 def draw(
-    angle: float, size_wh: tuple[int, int] = SIZE_WH, *, noise_seed: int | None = None, pixel_aspect: float = 1.0
+    angle: float,
+    size_wh: tuple[int, int] = SIZE_WH,
+    *,
+    noise_seed: int | None = None,
+    pixel_aspect: float = 1.0,
 ) -> ImageArray:
     """An image (H, W, 3) of the scene at an angle (degrees).
 
@@ -91,7 +95,9 @@ class DiscDetector:
                 v, u = np.nonzero(np.abs(signed - colour).sum(axis=2) < _NEAR)
                 if len(u):
                     # Single pixels elsewhere that damage gave the colour do not count.
-                    near = np.hypot(u - np.median(u), v - np.median(v)) < 2 * _RADIUS_PX * max(1, image.shape[0] / 120)
+                    near = np.hypot(u - np.median(u), v - np.median(v)) < 2 * _RADIUS_PX * max(
+                        1, image.shape[0] / 120
+                    )
                     xy[n, k] = u[near].mean(), v[near].mean()
                     likelihood[n, k] = 1.0
         covariance = np.broadcast_to(0.04 * np.eye(2), (len(frames), 4, 2, 2)).copy()

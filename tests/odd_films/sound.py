@@ -14,7 +14,12 @@ from .scene import FRAMES, RATE
 
 _X264 = {"g": "10", "crf": "18", "preset": "ultrafast"}
 _SVT = {"preset": "10", "crf": "5", "g": "10", "svtav1-params": "lp=1"}
-_X265 = {"preset": "ultrafast", "crf": "18", "g": "10", "x265-params": "log-level=none:pools=none:frame-threads=1"}
+_X265 = {
+    "preset": "ultrafast",
+    "crf": "18",
+    "g": "10",
+    "x265-params": "log-level=none:pools=none:frame-threads=1",
+}
 
 CODECS: dict[str, tuple[str, str, dict[str, str]]] = {
     "h264": ("libx264", "yuv420p", _X264 | {"bf": "0"}),
@@ -48,11 +53,23 @@ CODECS: dict[str, tuple[str, str, dict[str, str]]] = {
 _CONTAINERS: dict[str, tuple[str, ...]] = {
     ".mp4": ("h264", "h264b", "hevc", "mpeg4", "mpeg4b", "mjpeg", "vp9", "av1", "mpeg2"),
     ".mov": ("h264b", "mpeg4", "mjpeg", "prores", "png", "cfhd", "qtrle", "hevc", "jpeg2000"),
-    ".mkv": (
-        *("h264", "h264b", "hevc", "mpeg4b", "mjpeg", "vp8", "vp9", "av1", "ffv1", "ffv1g", "mpeg2"),
-    ),
+    ".mkv": (*("h264", "h264b", "hevc", "mpeg4b", "mjpeg", "vp8", "vp9", "av1", "ffv1", "ffv1g", "mpeg2"),),
     ".webm": ("vp8", "vp9", "av1"),
-    ".avi": ("h264", "h264b", "mpeg4", "mpeg4b", "mjpeg", "huffyuv", "ffvhuff", "utvideo", "rawvideo", "png", "ffv1", "magicyuv", "msmpeg4"),
+    ".avi": (
+        "h264",
+        "h264b",
+        "mpeg4",
+        "mpeg4b",
+        "mjpeg",
+        "huffyuv",
+        "ffvhuff",
+        "utvideo",
+        "rawvideo",
+        "png",
+        "ffv1",
+        "magicyuv",
+        "msmpeg4",
+    ),
     ".ts": ("h264", "h264b", "hevc", "mpeg2", "mpeg4"),
     ".mxf": ("mpeg2", "prores", "h264", "jpeg2000"),
     ".flv": ("h264", "h264b", "flv1"),
@@ -102,7 +119,18 @@ def sound_films() -> Iterator[tuple[str, Recipe]]:
         for codec in codecs:
             yield f"{codec}{suffix}", recipe(codec, suffix)
     yield "gif.gif", Recipe("gif", ".gif", "rgb8", rate=Fraction(25))
-    yield "dv.dv", Recipe("dvvideo", ".dv", "yuv420p", size_wh=(720, 576), pixel_aspect=Fraction(16, 15), rate=Fraction(25), format="dv")
+    yield (
+        "dv.dv",
+        Recipe(
+            "dvvideo",
+            ".dv",
+            "yuv420p",
+            size_wh=(720, 576),
+            pixel_aspect=Fraction(16, 15),
+            rate=Fraction(25),
+            format="dv",
+        ),
+    )
     yield from _timed()
     yield from _shaped()
     yield from _contained()
@@ -128,7 +156,13 @@ def _timed() -> Iterator[tuple[str, Recipe]]:
         "slow": slow,
     }
     for name, values in times.items():
-        for codec, suffix in (("h264b", ".mp4"), ("h264", ".mkv"), ("vp9", ".webm"), ("h264", ".mov"), ("h264", ".ts")):
+        for codec, suffix in (
+            ("h264b", ".mp4"),
+            ("h264", ".mkv"),
+            ("vp9", ".webm"),
+            ("h264", ".mov"),
+            ("h264", ".ts"),
+        ):
             if name == "negative" and suffix != ".mkv":
                 continue  # MP4 and MOV hide what is before 0 (see `negative_hidden`)
             yield f"{name}_{codec}{suffix}", replace(recipe(codec, suffix), times_s=tuple(values.tolist()))
@@ -145,7 +179,10 @@ def _shaped() -> Iterator[tuple[str, Recipe]]:
     for aspect in (Fraction(16, 11), Fraction(4, 3), Fraction(8, 9), Fraction(1, 2), Fraction(2)):
         name = f"{aspect.numerator}x{aspect.denominator}"
         width = round(160 / float(aspect) / 2) * 2
-        yield f"aspect_{name}.mp4", replace(plain, pix_fmt="yuv444p", pixel_aspect=aspect, size_wh=(width, 120))
+        yield (
+            f"aspect_{name}.mp4",
+            replace(plain, pix_fmt="yuv444p", pixel_aspect=aspect, size_wh=(width, 120)),
+        )
     yield "aspect.mkv", replace(recipe("h264", ".mkv"), pixel_aspect=Fraction(4, 3), size_wh=(120, 120))
     yield "aspect.mov", replace(recipe("mpeg4", ".mov"), pixel_aspect=Fraction(4, 3), size_wh=(120, 120))
     yield "aspect.mpg", replace(recipe("mpeg2", ".mpg"), pixel_aspect=Fraction(4, 3), size_wh=(240, 180))
@@ -155,7 +192,9 @@ def _shaped() -> Iterator[tuple[str, Recipe]]:
         "mpeg2.mpg": replace(recipe("mpeg2", ".mpg"), options={"flags": "+ildct+ilme", "b": "6M", "g": "10"}),
         "mpeg2.ts": replace(recipe("mpeg2", ".ts"), options={"flags": "+ildct+ilme", "b": "6M", "g": "10"}),
         "prores.mov": replace(recipe("prores", ".mov"), options={"flags": "+ildct"}),
-        "mpeg4.avi": replace(recipe("mpeg4", ".avi"), options={"flags": "+ildct+ilme", "b": "12M", "g": "10"}),
+        "mpeg4.avi": replace(
+            recipe("mpeg4", ".avi"), options={"flags": "+ildct+ilme", "b": "12M", "g": "10"}
+        ),
         "ffv1.mkv": recipe("ffv1", ".mkv"),
     }
     for name, base in interlaced.items():
@@ -169,11 +208,20 @@ def _shaped() -> Iterator[tuple[str, Recipe]]:
     yield "ten_bit_av1.mkv", replace(recipe("av1", ".mkv"), pix_fmt="yuv420p10le")
     yield "444.mp4", replace(recipe("h264", ".mp4"), pix_fmt="yuv444p")
     yield "422.mkv", replace(recipe("h264", ".mkv"), pix_fmt="yuv422p")
-    yield "rgb.mkv", Recipe("libx264rgb", ".mkv", "rgb24", options={"g": "10", "preset": "ultrafast", "crf": "15"})
+    yield (
+        "rgb.mkv",
+        Recipe("libx264rgb", ".mkv", "rgb24", options={"g": "10", "preset": "ultrafast", "crf": "15"}),
+    )
     yield "sixteen_bit.mkv", replace(recipe("ffv1", ".mkv"), pix_fmt="yuv420p16le")
     yield "alpha_png.mov", replace(recipe("png", ".mov"), pix_fmt="rgba")
-    yield "alpha_prores.mov", replace(recipe("prores", ".mov"), pix_fmt="yuva444p10le", options={"profile": "4444"})
-    yield "alpha_vp9.webm", replace(recipe("vp9", ".webm"), pix_fmt="yuva420p", options=CODECS["vp9"][2] | {"auto-alt-ref": "0"})
+    yield (
+        "alpha_prores.mov",
+        replace(recipe("prores", ".mov"), pix_fmt="yuva444p10le", options={"profile": "4444"}),
+    )
+    yield (
+        "alpha_vp9.webm",
+        replace(recipe("vp9", ".webm"), pix_fmt="yuva420p", options=CODECS["vp9"][2] | {"auto-alt-ref": "0"}),
+    )
     yield "alpha_utvideo.avi", replace(recipe("utvideo", ".avi"), pix_fmt="gbrap")
     yield "one_frame.mp4", replace(plain, times_s=(0.0,))
     yield "two_frames.mkv", replace(recipe("h264", ".mkv"), times_s=(0.0, 0.1))
@@ -190,8 +238,17 @@ def _contained() -> Iterator[tuple[str, Recipe]]:
     yield "one_group.mp4", replace(plain, options={**_X264, "g": "250"})
     yield "intra_refresh.mp4", replace(plain, options={**_X264, "x264-params": "intra-refresh=1:keyint=12"})
     yield "sliced.mp4", replace(plain, options={**_X264, "x264-params": "slices=4"})
-    yield "open_groups.mp4", replace(plain, options={**_X264, "bf": "3", "x264-params": "open-gop=1:keyint=10"})
-    yield "lookahead.webm", replace(recipe("vp8", ".webm"), options={"auto-alt-ref": "1", "lag-in-frames": "16", "cpu-used": "5", "b": "2M"})
+    yield (
+        "open_groups.mp4",
+        replace(plain, options={**_X264, "bf": "3", "x264-params": "open-gop=1:keyint=10"}),
+    )
+    yield (
+        "lookahead.webm",
+        replace(
+            recipe("vp8", ".webm"),
+            options={"auto-alt-ref": "1", "lag-in-frames": "16", "cpu-used": "5", "b": "2M"},
+        ),
+    )
     for suffix in (".mp4", ".mkv", ".avi", ".mov", ".flv"):
         codec = "mpeg4" if suffix in (".mp4", ".mov", ".avi") else "h264"
         yield f"latin1_title{suffix}", replace(recipe(codec, suffix), metadata={"title": _LATIN_1[0]})

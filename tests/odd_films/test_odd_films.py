@@ -10,19 +10,36 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
+from bendtrack.tracker.tracking import track
+from bendtrack.tracker.video import Video, read_frame
 from odd_films import damage, sound
 from odd_films.encoding import write
 from odd_films.scene import ANGLE, FRAMES, RATE, DiscDetector
 from odd_films.verdict import COUNTED, Verdict, judge
 
-from bendtrack.tracker.tracking import track
-from bendtrack.tracker.video import Video, read_frame
-
 SOUND = dict(sound.sound_films())
 QUIET = (
-    *("h264b.mp4", "hevc.mp4", "vp8.webm", "av1.mkv", "ffv1.mkv", "prores.mov", "mjpeg.avi", "mpeg2.mxf", "gif.gif"),
+    *(
+        "h264b.mp4",
+        "hevc.mp4",
+        "vp8.webm",
+        "av1.mkv",
+        "ffv1.mkv",
+        "prores.mov",
+        "mjpeg.avi",
+        "mpeg2.mxf",
+        "gif.gif",
+    ),
     *("uneven_h264.mkv", "late_h264.mkv", "uneven_h264.ts", "audio.avi", "fragmented.mp4", "ten_bit.mp4"),
-    *("turned_90.mp4", "aspect_16x11.mp4", "aspect_1x2.mp4", "aspect.mpg", "one_frame.mp4", "latin1_title.mp4"),
+    *(
+        "turned_90.mp4",
+        "aspect_16x11.mp4",
+        "aspect_1x2.mp4",
+        "aspect.mpg",
+        "one_frame.mp4",
+        "latin1_title.mp4",
+    ),
     *("latin1_title.avi", "interlaced_tff_x264.mp4", "interlaced_bff_mpeg2.ts", "interlaced_bff_prores.mov"),
 )
 
@@ -58,11 +75,36 @@ def test_frames_are_shown_with_square_pixels(tmp_path: Path) -> None:
 
 
 DAMAGED = (
-    *(("ffv1", ".mkv", "flip_1"), ("ffv1g", ".mkv", "garbage"), ("hevc", ".mkv", "flip_1"), ("vp9", ".webm", "flip_few")),
-    *(("vp8", ".webm", "flip_few"), ("av1", ".mp4", "garbage"), ("mjpeg", ".avi", "flip_few"), ("mjpeg", ".mov", "flip_many")),
-    *(("huffyuv", ".avi", "garbage"), ("h264", ".avi", "lost"), ("mpeg4", ".avi", "zeroed"), ("rawvideo", ".avi", "lost")),
-    *(("h264", ".mkv", "cut_99"), ("vp9", ".webm", "cut_99"), ("hevc", ".ts", "cut_99"), ("wmv2", ".wmv", "cut_90")),
-    *(("mpeg2", ".mxf", "lost"), ("mjpeg", ".mjpeg", "zeroed"), ("hevc", ".mkv", "lost"), ("vp8", ".webm", "hole")),
+    *(
+        ("ffv1", ".mkv", "flip_1"),
+        ("ffv1g", ".mkv", "garbage"),
+        ("hevc", ".mkv", "flip_1"),
+        ("vp9", ".webm", "flip_few"),
+    ),
+    *(
+        ("vp8", ".webm", "flip_few"),
+        ("av1", ".mp4", "garbage"),
+        ("mjpeg", ".avi", "flip_few"),
+        ("mjpeg", ".mov", "flip_many"),
+    ),
+    *(
+        ("huffyuv", ".avi", "garbage"),
+        ("h264", ".avi", "lost"),
+        ("mpeg4", ".avi", "zeroed"),
+        ("rawvideo", ".avi", "lost"),
+    ),
+    *(
+        ("h264", ".mkv", "cut_99"),
+        ("vp9", ".webm", "cut_99"),
+        ("hevc", ".ts", "cut_99"),
+        ("wmv2", ".wmv", "cut_90"),
+    ),
+    *(
+        ("mpeg2", ".mxf", "lost"),
+        ("mjpeg", ".mjpeg", "zeroed"),
+        ("hevc", ".mkv", "lost"),
+        ("vp8", ".webm", "hole"),
+    ),
 )
 
 
@@ -70,7 +112,9 @@ SEED = 11
 
 
 @pytest.mark.parametrize(("codec", "suffix", "kind"), DAMAGED)
-def test_nothing_that_damage_changed_is_left_unsaid(tmp_path: Path, codec: str, suffix: str, kind: str) -> None:
+def test_nothing_that_damage_changed_is_left_unsaid(
+    tmp_path: Path, codec: str, suffix: str, kind: str
+) -> None:
     recipe = sound.recipe(codec, suffix)
     whole = write(recipe, tmp_path / f"whole{suffix}")
     path = damage.damaged(whole, tmp_path / f"damaged{suffix}", kind, seed=SEED)

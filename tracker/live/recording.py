@@ -17,7 +17,6 @@ from ..results import AngleTable, json_ready
 from ..types import Flag
 from .low_latency import LiveValue
 
-
 PARTIAL_SUFFIX = ".partial.csv"
 """Ends the name of the table of a recording that has not ended, or was killed."""
 
@@ -53,7 +52,9 @@ class PartialTable:
             self._file: TextIO = path.open("x", encoding="utf-8", newline="\n", buffering=1)
             self._file.write(",".join(columns) + "\n")
         except OSError as error:
-            raise ResultsError(f"--out: expected a file that can be written, got {path} ({reason(error)})") from error
+            raise ResultsError(
+                f"--out: expected a file that can be written, got {path} ({reason(error)})"
+            ) from error
 
     def add(self, value: LiveValue) -> None:
         """Write a value, after rows for the frames dropped before it.

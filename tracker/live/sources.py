@@ -277,13 +277,15 @@ class Stream:
             if frame is not None and turn is None:
                 turn, _, _ = orientation(frame)
                 if frame.interlaced_frame:
-                    self.warnings.append("pictures are interlaced: moving edges are seen twice; film progressively")
+                    self.warnings.append(
+                        "pictures are interlaced: moving edges are seen twice; film progressively"
+                    )
             is_damaged = damaged and frame is not None
             shown = Frame(0, stamp_s, frame, turn or Orientation(), is_damaged, self._stretched_wh)
             yield Arrival(shown, at_s)
 
     def _av_frames(self) -> Iterator[tuple[float, float, av.VideoFrame | None, bool]]:
-        """Arrival time of each packet, its presentation time in s, its frame (None: undecodable), whether it is sound."""
+        """Arrival and presentation time in s of each frame, the frame (None: undecodable), and whether it is sound."""
         packets = self._container.demux(self._stream)
         is_sound = True
         while True:
