@@ -29,6 +29,8 @@ _CHANGED = 14
 _BURST_RATIO, _BURST_SHARE = 1.8, 0.004
 # Frames on each side whose median says what is usual.
 _AROUND = 16
+# The same for changes that do not go back.
+_ONSET_SHARE = 0.02
 # The same where a file is known to be damaged, against the frames right before and after.
 _STRICT_RATIO, _STRICT_SHARE = 1.2, 0.008
 # Of fewer frames nothing is usual.
@@ -136,12 +138,17 @@ class PictureCheck:
         step_s = np.diff(np.array(self._time), prepend=np.nan)
         longer = np.maximum(1.0, np.nan_to_num(step_s / max(np.nanmedian(step_s), 1e-9), nan=1.0))
         usual = _around(changed)
-        burst = np.nan_to_num(changed) > _BURST_RATIO * longer * usual + _BURST_SHARE
-        if is_damaged:
-            burst |= np.nan_to_num(changed) > _STRICT_RATIO * longer * _next_to(changed) + _STRICT_SHARE
+        known = np.nan_to_num(changed)
+        burst = known > _BURST_RATIO * longer * usual + _BURST_SHARE
         doubtful = self._there_and_back(burst, usual * longer)
         if not key.all():
-            doubtful |= self._unexplained(burst & ~doubtful & (changed < _EVERYTHING), changed, usual)
+            # Displays and lamps in the picture change at once, too, and cost an encoder little.
+            unexplained = known > _BURST_RATIO * longer * usual + _ONSET_SHARE
+            if self._is_coarse:
+                unexplained &= is_damaged
+            elif is_damaged:
+                unexplained |= known > _STRICT_RATIO * longer * _next_to(changed) + _STRICT_SHARE
+            doubtful |= self._unexplained(unexplained & ~doubtful & (known < _EVERYTHING), changed, usual)
         elif n > 2 * _LEAST_ROWS:
             # The first and the last have a neighbour on one side only.
             doubtful[0] |= bool(burst[1]) and not doubtful[1]
@@ -185,7 +192,7 @@ class PictureCheck:
         spacing = np.diff(keys)
         regular = float(np.median(spacing)) if len(spacing) else 0.0
         for number, at in enumerate(keys):
-            if at == 0 or not burst[at] or changed[at] < _BURST_RATIO * usual_at_keys + _BURST_SHARE:
+            if at == 0 or not burst[at] or changed[at] < _BURST_RATIO * usual_at_keys + _ONSET_SHARE:
                 continue
             begin = keys[number - 1] if number else 0
             end = keys[number + 1] if number + 1 < len(keys) else len(key)
