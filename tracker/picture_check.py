@@ -1,8 +1,8 @@
 """Is a picture likely, given the pictures before and after it? For damage that a decoder does not notice.
 
-Most decoders take flipped bits for picture data. The pictures then change in a way that no scene does: for a few
-frames and back; or at once, while the packet is as small as ever; or back again at a key frame, which needs no other
-frame. A few thousand samples of each picture are compared with those before; what follows is decided once the video
+Most decoders take flipped bits for picture data. The pictures then change in a way that no scene does: where frames
+stand alone, for a few of them and back; else much at once, and back at the next key frame. In a file that is known to
+be damaged also what changes while its packet is as small as ever. A few thousand samples of each picture are compared with those before; what follows is decided once the video
 has ended, from a few numbers a frame.
 """
 
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from array import array
 from collections import deque
+from itertools import pairwise
 
 import av
 import cv2
@@ -29,8 +30,9 @@ _CHANGED = 14
 _BURST_RATIO, _BURST_SHARE = 1.8, 0.004
 # Frames on each side whose median says what is usual.
 _AROUND = 16
-# The same for changes that do not go back.
+# The same for changes that do not go back; and for those that a key frame undoes, of which so large a share goes back.
 _ONSET_SHARE = 0.02
+_UNDONE_SHARE, _UNDONE = 0.06, 0.7
 # The same where a file is known to be damaged, against the frames right before and after.
 _STRICT_RATIO, _STRICT_SHARE = 1.2, 0.008
 # Of fewer frames nothing is usual.
@@ -140,16 +142,18 @@ class PictureCheck:
         usual = _around(changed)
         known = np.nan_to_num(changed)
         burst = known > _BURST_RATIO * longer * usual + _BURST_SHARE
-        doubtful = self._there_and_back(burst, usual * longer)
-        if not key.all():
-            # Displays and lamps in the picture change at once, too, and cost an encoder little.
+        if key.all():
+            doubtful = self._there_and_back(burst, usual * longer)
+        else:
+            # Encoders of such codecs blur and sharpen whole groups: alone, only what a key frame undoes is damage.
+            doubtful = self._undone_by_key(known > _BURST_RATIO * longer * usual + _UNDONE_SHARE)
+        if not key.all() and is_damaged:
+            doubtful |= self._there_and_back(burst, usual * longer)
             unexplained = known > _BURST_RATIO * longer * usual + _ONSET_SHARE
-            if self._is_coarse:
-                unexplained &= is_damaged
-            elif is_damaged:
+            if not self._is_coarse:
                 unexplained |= known > _STRICT_RATIO * longer * _next_to(changed) + _STRICT_SHARE
             doubtful |= self._unexplained(unexplained & ~doubtful & (known < _EVERYTHING), changed, usual)
-        elif n > 2 * _LEAST_ROWS:
+        elif key.all() and n > 2 * _LEAST_ROWS:
             # The first and the last have a neighbour on one side only.
             doubtful[0] |= bool(burst[1]) and not doubtful[1]
             doubtful[-1] |= bool(burst[-1]) and not doubtful[-2]
@@ -171,6 +175,16 @@ class PictureCheck:
                 if apart < _BURST_RATIO * moved + _BURST_SHARE and apart < 0.8 * least:
                     doubtful[first:after] = True
                     break
+        return doubtful
+
+    def _undone_by_key(self, burst: BoolArray) -> BoolArray:
+        """From a burst between two key frames to the second of them, where that brings back what the burst changed."""
+        doubtful = np.zeros(len(burst), bool)
+        keys = np.flatnonzero(np.array(self._key, bool))
+        for begin, at in pairwise(keys):
+            within = begin + 1 + np.flatnonzero(burst[begin + 1 : at])
+            if len(within) and burst[at] and self._returned[at] > _UNDONE:
+                doubtful[within[0] : at] = True
         return doubtful
 
     def _unexplained(self, burst: BoolArray, changed: FloatArray, usual: FloatArray) -> BoolArray:

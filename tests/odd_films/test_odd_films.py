@@ -79,10 +79,10 @@ DAMAGED = (
         ("ffv1", ".mkv", "flip_1"),
         ("ffv1g", ".mkv", "garbage"),
         ("hevc", ".mkv", "flip_1"),
-        ("vp9", ".webm", "flip_few"),
+        ("vp9", ".webm", "cut_90"),
     ),
     *(
-        ("vp8", ".webm", "flip_few"),
+        ("vp8", ".webm", "lost"),
         ("av1", ".mp4", "garbage"),
         ("mjpeg", ".avi", "flip_few"),
         ("mjpeg", ".mov", "flip_many"),

@@ -93,7 +93,9 @@ def test_a_figure_that_fails_is_said_of_its_own_video(film, tmp_path: Path, monk
 )
 def test_no_actuator_is_looked_for_where_none_fits(film, tmp_path: Path, size, message: str) -> None:
     video = film.encode(tmp_path / "wide.mkv", [np.zeros((*size[::-1], 3), np.uint8)] * 2, codec="ffv1")
-    batch = Batch(film.DiscDetector(), None, tmp_path, localize=lambda frames, progress: pytest.fail("looked for"))
+    batch = Batch(
+        film.DiscDetector(), None, tmp_path, localize=lambda frames, progress: pytest.fail("looked for")
+    )
     with pytest.raises(VideoError, match=message):
         measured(batch, video)
 
@@ -101,6 +103,8 @@ def test_no_actuator_is_looked_for_where_none_fits(film, tmp_path: Path, size, m
 def test_no_actuator_is_looked_for_without_a_sound_frame(film, tmp_path: Path, monkeypatch) -> None:
     video = film.encode(tmp_path / "a.mp4", [film.draw_arm(40.0)], codec="mpeg4")
     monkeypatch.setattr("bendtrack.tracker.batch.spread_frames", lambda path, count: [])
-    batch = Batch(film.DiscDetector(), None, tmp_path, localize=lambda frames, progress: pytest.fail("looked for"))
+    batch = Batch(
+        film.DiscDetector(), None, tmp_path, localize=lambda frames, progress: pytest.fail("looked for")
+    )
     with pytest.raises(VideoError, match="expected frames that are sound, got none"):
         measured(batch, video)
