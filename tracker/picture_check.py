@@ -2,8 +2,8 @@
 
 Most decoders take flipped bits for picture data. The pictures then change in a way that no scene does: where frames
 stand alone, for a few of them and back; else much at once, and back at the next key frame. In a file that is known to
-be damaged also what changes while its packet is as small as ever. A few thousand samples of each picture are compared with those before; what follows is decided once the video
-has ended, from a few numbers a frame.
+be damaged also what changes while its packet is as small as ever. A few thousand samples of each picture are compared
+with those before; what follows is decided once the video has ended, from a few numbers a frame.
 """
 
 from __future__ import annotations

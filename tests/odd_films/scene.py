@@ -98,7 +98,8 @@ class DiscDetector:
                     near = np.hypot(u - np.median(u), v - np.median(v)) < 2 * _RADIUS_PX * max(
                         1, image.shape[0] / 120
                     )
-                    xy[n, k] = u[near].mean(), v[near].mean()
-                    likelihood[n, k] = 1.0
+                    if near.any():
+                        xy[n, k] = u[near].mean(), v[near].mean()
+                        likelihood[n, k] = 1.0
         covariance = np.broadcast_to(0.04 * np.eye(2), (len(frames), 4, 2, 2)).copy()
         return Detections(xy, likelihood, covariance)
