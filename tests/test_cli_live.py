@@ -182,3 +182,31 @@ def test_wrong_use(bendtrack, trained_project: Project, video: Path) -> None:
     assert (ran.status, ran.out) == (2, "")
     assert "--out: expected a new name, got 'rig'" in ran.err
     assert table.read_text() == "the only copy of something"
+
+
+def test_a_kill_loses_no_row_that_was_printed(bendtrack, trained_project: Project, long_video: Path) -> None:
+    """SIGKILL, which no program can catch: the rows are on disk as they were printed."""
+    partial = trained_project.results_dir / "rig.partial.csv"
+    with running(bendtrack, trained_project.root, long_video, "--out", "rig") as process:
+        assert process.stdout is not None
+        for _ in range(6):
+            process.stdout.readline()
+        process.kill()
+        printed = process.communicate()[0]
+    rows = read_results(partial)
+    assert len(rows) >= 5 + len(printed.splitlines()[:-1])
+    assert np.isfinite(rows.time_s).all()
+    # The next recording does not overwrite what was saved.
+    again = bendtrack("live", trained_project.root, long_video, "--out", "rig", "--duration", "0.1")
+    assert again.status == 2
+    assert "rig.partial.csv is there already" in again.err
+
+
+def test_a_folder_that_cannot_be_written_is_found_at_the_start(
+    bendtrack, trained_project: Project, video: Path
+) -> None:
+    trained_project.results_dir.rmdir() if trained_project.results_dir.is_dir() else None
+    trained_project.results_dir.write_text("a file where the folder should be")
+    ran = bendtrack("live", trained_project.root, video, "--out", "rig")
+    assert (ran.status, ran.out) == (2, "")
+    assert "--out: expected a folder that can be written" in ran.err

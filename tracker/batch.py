@@ -11,7 +11,7 @@ import secrets
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -22,7 +22,15 @@ import numpy as np
 from .angle import AngleDefinition
 from .atomic import remove_leftovers
 from .bookkeeping import choose_stem, is_recorded, is_up_to_date, overlay_of_record, record_file
-from .errors import BendtrackError, VideoError, reason
+from .errors import (
+    AngleError,
+    BendtrackError,
+    CheckpointError,
+    MissingPackageError,
+    VideoError,
+    WeightsError,
+    reason,
+)
 from .hashing import file_sha256
 from .links import make_folder
 from .overlay import write_overlay
@@ -35,8 +43,16 @@ from .video import spread_frames
 PROBE_FRAMES = 32
 """Frames in which an actuator is looked for that nobody has labelled."""
 
+MOST_ELONGATED = 50
+"""Longer over shorter side of a frame beyond which no actuator is looked for: scaled down, nothing is left of it."""
+
 LEAST_SOUND = 0.6
 """Share of the rows without a flag below which a user is warned, where nobody has labelled anything."""
+
+_OF_THE_BATCH = (AngleError, CheckpointError, MissingPackageError, WeightsError)
+"""Errors that every video of a batch would have."""
+
+_LONGEST_REASON = 200
 
 OVERLAY_SUFFIX = ".overlay.mp4"
 """Ends the name of every overlay video, so that none is taken for a video to track."""
@@ -109,6 +125,8 @@ class VideoOutcome:
         What was worked around, one sentence each.
     problem : str or None
         Why the video failed or is damaged. A damaged one is tracked as far as it goes.
+    error : Exception or None
+        What ended the work on a video that failed.
     """
 
     video: Path
@@ -119,6 +137,7 @@ class VideoOutcome:
     seconds: float = 0.0
     warnings: tuple[str, ...] = ()
     problem: str | None = None
+    error: Exception | None = None
 
 
 @contextmanager
@@ -168,7 +187,8 @@ class Batch:
 def track_batch(batch: Batch, videos: Sequence[Path]) -> Iterator[VideoOutcome]:
     """Bring the results of videos up to date, one after the other.
 
-    A video's figure is drawn while the next video is tracked: for a short film that takes as long as its frames.
+    Whatever goes wrong with one video, the others are done. A video's figure is drawn while the next video is tracked:
+    for a short film that takes as long as its frames.
 
     Parameters
     ----------
@@ -185,16 +205,26 @@ def track_batch(batch: Batch, videos: Sequence[Path]) -> Iterator[VideoOutcome]:
     Raises
     ------
     BendtrackError
-        Something other than a video is wrong: results cannot be written, or a figure cannot be drawn.
+        The network cannot measure any video: it does not find a point of the angle, or cannot run. Or a figure cannot
+        be written; this is raised once all videos are done.
     """
     with ThreadPoolExecutor(max_workers=1) as drawing:
         figures = _Figures(drawing)
         for video in videos:
             try:
                 yield _track_one(batch, video, figures)
-            except VideoError as error:
-                yield VideoOutcome(video, State.FAILED, problem=str(error).removeprefix(f"{video}: "))
+            except _OF_THE_BATCH:
+                raise
+            except Exception as error:
+                yield VideoOutcome(video, State.FAILED, problem=_problem(video, error), error=error)
         figures.wait()
+        for video, failure in figures.errors:
+            if not isinstance(failure, BendtrackError):
+                problem = f"its table is written, its figure is not ({_problem(video, failure)})"
+                yield VideoOutcome(video, State.FAILED, problem=problem, error=failure)
+        for _, failure in figures.errors:
+            if isinstance(failure, BendtrackError):
+                raise failure
 
 
 def measured(
@@ -238,7 +268,15 @@ def measured(
         if before_localizing is not None:
             before_localizing()
         with batch.counting(f"{video.name}: finding the actuator", "steps") as progress:
-            detector, definition = batch.localize(spread_frames(video, PROBE_FRAMES), progress)
+            probe = spread_frames(video, PROBE_FRAMES)
+            if not probe:
+                raise VideoError(f"{video}: expected frames that are sound, got none")
+            height, width = probe[0].shape[:2]
+            if max(width, height) > MOST_ELONGATED * min(width, height):
+                raise VideoError(
+                    f"{video}: expected a frame in which an actuator fits, got {width} x {height} px"
+                )
+            detector, definition = batch.localize(probe, progress)
     begun = time.monotonic()
     with batch.counting(video.name, "frames") as progress:
         table = track(
@@ -302,16 +340,17 @@ def check_writable(folder: Path) -> None:
     BendtrackError
         It cannot be written.
     """
-    make_folder(folder)
     probe = folder / f".{secrets.token_hex(6)}.tmp"
     try:
+        make_folder(folder)
         probe.write_bytes(b"bendtrack")
     except OSError as error:
         raise BendtrackError(
             f"--out: expected a folder that can be written, got {folder} ({reason(error)})"
         ) from error
     finally:
-        probe.unlink(missing_ok=True)
+        with suppress(OSError):
+            probe.unlink(missing_ok=True)
 
 
 def summarize(table: AngleTable) -> AngleSummary:
@@ -339,21 +378,41 @@ def summarize(table: AngleTable) -> AngleSummary:
 
 
 class _Figures:
-    """Draws the figure of one video while the next one is tracked."""
+    """Draws the figure of one video while the next one is tracked; what goes wrong waits in `errors`."""
 
     def __init__(self, drawing: Executor) -> None:
+        self.errors: list[tuple[Path, Exception]] = []
         self._drawing = drawing
-        self._last: Future[None] | None = None
+        self._last: tuple[Path, Future[None]] | None = None
 
-    def draw(self, table: AngleTable, folder: Path, stem: str, path: Path) -> None:
+    def draw(self, video: Path, table: AngleTable, folder: Path, stem: str, path: Path) -> None:
         """Begin to draw a figure."""
-        self._last = self._drawing.submit(_draw, table, folder, stem, path)
+        self._last = video, self._drawing.submit(_draw, table, folder, stem, path)
 
     def wait(self) -> None:
-        """See the last figure finished, or raise what prevented it."""
-        if self._last is not None:
-            self._last.result()
-            self._last = None
+        """See the last figure finished."""
+        if self._last is None:
+            return
+        video, drawn = self._last
+        self._last = None
+        try:
+            drawn.result()
+        except Exception as error:
+            self.errors.append((video, error))
+
+
+def _problem(video: Path, error: Exception) -> str:
+    """One line for what ended the work on a video."""
+    if isinstance(error, BendtrackError):
+        return " ".join(str(error).removeprefix(f"{video}: ").split())
+    if isinstance(error, MemoryError):
+        return "there is not enough memory for it"
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    lines = str(error).split("\n")
+    return (
+        f"cannot be measured ({type(error).__name__}: {' '.join(' '.join(lines).split())[:_LONGEST_REASON]})"
+    )
 
 
 def _track_one(batch: Batch, video: Path, figures: _Figures) -> VideoOutcome:
@@ -377,7 +436,7 @@ def _track_one(batch: Batch, video: Path, figures: _Figures) -> VideoOutcome:
         csv_path, _, _ = write_results(table, folder, stem)
     said, complete = table.provenance["warnings"], table.provenance["video"]["complete"]
     warnings += [f"{video}: {warning}" for warning in said] if complete else []
-    sound = float((table.flag == "").mean())
+    sound = float((table.flag == "").mean()) if len(table) else 0.0
     if batch.definition is None and sound < LEAST_SOUND:
         warnings.append(
             f"{video}: expected the actuator in most frames, got it without a flag in {100 * sound:.0f} %, and those"
@@ -385,7 +444,7 @@ def _track_one(batch: Batch, video: Path, figures: _Figures) -> VideoOutcome:
         )
     figures.wait()
     if not is_recorded(folder, stem, figure_path):
-        figures.draw(table, folder, stem, figure_path)
+        figures.draw(video, table, folder, stem, figure_path)
     written = None
     if batch.overlay and overlay_of_record(folder, stem) is None:
         with batch.counting(f"{video.name}: overlay", "frames") as progress:

@@ -14,13 +14,23 @@ from pathlib import Path
 import av
 import numpy as np
 from av.container import InputContainer
+from av.format import Flags as FormatFlags
 from av.sidedata.sidedata import Type as SideDataType
 from av.stream import Disposition
 
+from .decoder_log import complaints, listen
 from .errors import VideoError, reason
 from .types import ImageArray
 
 # Images and text, which FFmpeg would open as a "video" of one frame.
+_NO_TIMES = int(FormatFlags.no_timestamps.value)  # type: ignore[call-overload] # PyAV's stub errs
+# Plain, with a time stamp (AVCHD), with a checksum.
+_TS_PACKET_BYTES = (188, 192, 204)
+# The object of an ASF's header that gives the size of the file, 40 bytes after its name.
+_ASF_FILE_PROPERTIES = bytes.fromhex("a1dcab8c47a9cf118ee400c00c205365")
+_ASF_HEAD_BYTES = 1 << 16
+# Anamorphic lenses reach 2; a file that asks for more is damaged.
+_MAX_ASPECT = 4
 _NOT_VIDEO_FORMATS = ("_pipe", "image2", "tty")
 
 
@@ -59,7 +69,7 @@ class Orientation:
 
 
 @contextmanager
-def open_video(path: Path, threads: int) -> Iterator[tuple[InputContainer, av.VideoStream]]:
+def open_video(path: Path, threads: int) -> Iterator[tuple[InputContainer, av.VideoStream, list[str]]]:
     """Open a file and its first video stream that is not a cover image, ready to decode.
 
     Parameters
@@ -69,12 +79,26 @@ def open_video(path: Path, threads: int) -> Iterator[tuple[InputContainer, av.Vi
     threads : int
         Number of decoding threads.
 
+    Yields
+    ------
+    container : InputContainer
+        The open file.
+    stream : VideoStream
+        Its video stream.
+    heard : list of str
+        What FFmpeg said of damage while it probed the file.
+
     Raises
     ------
     VideoError
         The file is missing, a folder, empty, not a video, or has no video stream.
     """
-    container = _open(path)
+    listen()
+    with av.logging.Capture() as logs:
+        container = _open(path)
+    # The reader's own words; those of decoders it says again when frames are read.
+    logs = [log for log in logs if log[1] == container.format.name and "Packet corrupt" not in log[2]]
+    context = None
     try:
         stream = _video_stream(container, path)
         context = stream.codec_context
@@ -83,13 +107,31 @@ def open_video(path: Path, threads: int) -> Iterator[tuple[InputContainer, av.Vi
         context.thread_count = threads
         context.thread_type = "FRAME"
         context.copy_opaque = True
-        if context.name == "mjpeg":
-            # Finds most flipped bits instead of few. Every frame stands alone, so nothing else is lost; the
-            # other codecs mark what they conceal without it.
-            context.options = {**context.options, "err_detect": "explode"}
-        yield container, stream
+        context.options = {**context.options, **decoder_options(context.name)}
+        yield container, stream, complaints(logs)
     finally:
+        if threads > 1 and context is not None and context.is_open:
+            # Brings the threads to rest while Python runs on: one that logs waits for Python, which would wait for it.
+            context.flush_buffers()
         container.close()
+
+
+def decoder_options(codec: str) -> dict[str, str]:
+    """FFmpeg's options with which a decoder finds damage.
+
+    Parameters
+    ----------
+    codec : str
+        FFmpeg's name of the codec.
+
+    Returns
+    -------
+    dict of str to str
+        Options.
+    """
+    # For MJPEG it finds most flipped bits instead of few. Every frame stands alone, so nothing else is lost; the
+    # other codecs mark or log what they conceal without it.
+    return {"err_detect": "explode"} if codec == "mjpeg" else {}
 
 
 def _open(path: Path) -> InputContainer:
@@ -102,7 +144,10 @@ def _open(path: Path) -> InputContainer:
     try:
         # Absolute, so that a colon in the name is not taken for a protocol; files only, so that no playlist
         # reaches for the network.
-        container = av.open(str(path.absolute()), options={"protocol_whitelist": "file"})
+        # Titles and comments may be in the alphabet of any land.
+        container = av.open(
+            str(path.absolute()), options={"protocol_whitelist": "file"}, metadata_errors="replace"
+        )
     except av.InvalidDataError as error:
         raise VideoError(f"{path}: not a video, or cut off before its index was written") from error
     except (av.FFmpegError, OSError, ValueError) as error:
@@ -151,7 +196,7 @@ def first_frame(container: InputContainer, stream: av.VideoStream, path: Path) -
     while True:
         try:
             packet = next(packets, None)
-        except av.FFmpegError:  # the file ends here
+        except (av.FFmpegError, IndexError):  # the file ends here (IndexError: see `decoding.py`)
             packet = None
         if packet is not None and packet.size == 0:
             continue
@@ -196,6 +241,75 @@ def orientation(frame: av.VideoFrame) -> tuple[Orientation, int, str | None]:
     if max(abs(a), abs(d)) < 1e-3 * max(abs(b), abs(c)):
         return Orientation(True, bool(c < 0), bool(b < 0)), turn, None
     return Orientation(), 0, f"the file asks for a turn of {turn} degrees, not a quarter turn: not applied"
+
+
+def has_times(container: InputContainer) -> bool:
+    """Whether a file's format holds presentation times. FFmpeg invents some for those that do not.
+
+    Parameters
+    ----------
+    container : InputContainer
+        The open file.
+
+    Returns
+    -------
+    bool
+        False for elementary streams such as raw H.264, MJPEG or AV1.
+    """
+    return not container.format.flags & _NO_TIMES
+
+
+def is_cut_short(container: InputContainer) -> bool:
+    """Whether a file is shorter than its format says.
+
+    Parameters
+    ----------
+    container : InputContainer
+        The open file.
+
+    Returns
+    -------
+    bool
+        MPEG-TS: True where the last packet is not whole. ASF, WMV: where the header gives a larger size.
+    """
+    if container.format.name == "mpegts":
+        return all(container.size % size for size in _TS_PACKET_BYTES)
+    if container.format.name == "asf":
+        with open(container.name, "rb") as file:
+            head = file.read(_ASF_HEAD_BYTES)
+        at = head.find(_ASF_FILE_PROPERTIES)
+        size = int.from_bytes(head[at + 40 : at + 48], "little") if at >= 0 else 0
+        return size > container.size
+    return False
+
+
+def displayed_wh(stream: av.VideoStream, stored_wh: tuple[int, int]) -> tuple[tuple[int, int], str | None]:
+    """Size to which frames are stretched where pixels are not square, before they are turned.
+
+    Parameters
+    ----------
+    stream : VideoStream
+        The video stream, of which a frame has been decoded.
+    stored_wh : tuple of (int, int)
+        Width and height of the frames as stored, px.
+
+    Returns
+    -------
+    size_wh : tuple of (int, int)
+        Width and height, px. One of them is larger, as in browsers (HTML: never drop rows or columns).
+    warning : str or None
+        A line where the file asks for a shape that no camera has.
+    """
+    width, height = stored_wh
+    # The container's word counts more than the codec's, as for FFmpeg's own player.
+    aspect = stream.sample_aspect_ratio or stream.codec_context.sample_aspect_ratio
+    if not aspect or aspect == 1:
+        return stored_wh, None
+    if not 1 / _MAX_ASPECT <= aspect <= _MAX_ASPECT:
+        return stored_wh, f"the file asks for pixels of {aspect} times their height: not applied"
+    if aspect > 1:
+        return (round(width * aspect), height), None
+    return (width, round(height / aspect)), None
 
 
 def claimed_frames(stream: av.VideoStream) -> int | None:

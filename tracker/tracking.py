@@ -115,6 +115,8 @@ def track(
             if progress is not None:
                 progress(len(time_s), source.claimed_frames)
 
+    for index in source.doubtful:
+        damaged[index] = True
     is_decoded = np.array(decoded)
     detections = Detections(
         xy=_scatter([xy for xy, _, _ in found], is_decoded, (k, 2)),

@@ -41,7 +41,8 @@ class Flag(StrEnum):
     UNDECODABLE         the frame could not be decoded: everything but its time is NaN
     COINCIDENT_POINTS   two neighbouring points of the angle's chain fall together: the angle is NaN
     OUT_OF_FRAME        a keypoint of the angle lies outside the frame: positions kept, angle NaN
-    DAMAGED             the frame was decoded from a frame that could not be decoded: all values kept
+    DAMAGED             decoded with an error, or from a frame that is missing or not sound; or its picture does not
+                        fit those before and after, or its time is not in order: all values kept
     LOW_LIKELIHOOD      a keypoint of the angle has a likelihood under the threshold: all values kept
     JUMP                without labels only: the frames before and after have another angle: all values kept
     """

@@ -19,13 +19,30 @@ import av
 import numpy as np
 from av.video.reformatter import VideoReformatter
 
-from .container import Orientation, claimed_duration_s, claimed_frames, first_frame, open_video, orientation
+from .avi_index import ChunkSlots, index_at_end
+from .container import (
+    Orientation,
+    claimed_duration_s,
+    claimed_frames,
+    displayed_wh,
+    first_frame,
+    has_times,
+    is_cut_short,
+    open_video,
+    orientation,
+)
 from .decoding import Decoding, Row
+from .deinterlacing import deinterlaced
 from .errors import VideoError
+from .matroska_checksums import damaged_ranges
+from .picture_check import PictureCheck
 from .types import FloatArray, ImageArray
 
 # A pause of so many usual frame intervals gets a warning: it may be lost frames.
 _PAUSE_INTERVALS = 4
+# So many frame intervals without a frame are a gap in a clock that is even otherwise: in so large a share of its steps,
+# which differ by so large a share of the usual one and by what containers round.
+_GAP_INTERVALS, _MOSTLY, _EVEN, _ROUNDING_S = 1.5, 0.8, 0.1, 0.0011
 
 
 _of_thread = threading.local()
@@ -36,6 +53,37 @@ def _reformatter() -> VideoReformatter:
     if not hasattr(_of_thread, "reformatter"):
         _of_thread.reformatter = VideoReformatter()
     return cast(VideoReformatter, _of_thread.reformatter)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What one pass through a file found, besides its frames: counts, and seconds."""
+
+    n_hidden: int
+    n_indexed: int | None
+    start_s: float
+    last_s: float
+
+
+class _Clusters:
+    """Frames in the clusters of a Matroska file that do not match their checksums: any of them may be damaged."""
+
+    def __init__(self, ranges: list[tuple[int, int]]) -> None:
+        self.ranges = ranges
+        self._frames: list[list[int]] = [[] for _ in ranges]
+        self._is_located = [False] * len(ranges)
+
+    def add(self, index: int, row: Row) -> None:
+        """Take the next row."""
+        for number, (begin, end) in enumerate(self.ranges):
+            if begin <= row.position < end:
+                self._frames[number].append(index)
+                self._is_located[number] |= row.picture is None or row.damaged
+
+    def doubtful(self) -> list[int]:
+        """Indices of all frames of the clusters in which the decoder did not find the damage."""
+        lost = zip(self._frames, self._is_located, strict=True)
+        return [index for frames, is_located in lost if not is_located for index in frames]
 
 
 @dataclass(frozen=True)
@@ -53,7 +101,9 @@ class Frame:
     orientation : Orientation
         How `decoded` is turned to be displayed.
     damaged : bool
-        Decoded without error, but from a frame that could not be decoded.
+        Decoded with an error, or from a frame that is missing or not sound.
+    stretched_wh : tuple of (int, int) or None
+        Size to which `decoded` is stretched before it is turned, px; None where its pixels are square.
     """
 
     index: int
@@ -61,13 +111,15 @@ class Frame:
     decoded: av.VideoFrame | None
     orientation: Orientation
     damaged: bool = False
+    stretched_wh: tuple[int, int] | None = None
 
     @cached_property
     def image(self) -> ImageArray | None:
         """RGB uint8 (H, W, 3) as displayed, None if undecodable. Converted at first access."""
         if self.decoded is None:
             return None
-        rgb = _reformatter().reformat(self.decoded, format="rgb24")
+        width, height = self.stretched_wh or (None, None)
+        rgb = _reformatter().reformat(self.decoded, width, height, format="rgb24")
         return self.orientation.apply(np.asarray(rgb.to_ndarray(), dtype=np.uint8))
 
 
@@ -102,6 +154,8 @@ class Video:
         What the user should know, a line each.
     complete : bool
         False when frames are missing, undecodable or damaged.
+    doubtful : list of int
+        Indices of frames that were decoded without a complaint, but do not fit those before and after.
 
     Raises
     ------
@@ -114,7 +168,8 @@ class Video:
         self.path = Path(path)
         self._threads = threads
         self._standing_warnings: list[str] = []
-        with open_video(self.path, threads) as (container, stream):
+        self._standing_problems: list[str] = []
+        with open_video(self.path, threads) as (container, stream, _):
             self.codec: str = stream.codec_context.name
             self.claimed_frames = claimed_frames(stream)
             self._claimed_duration_s = claimed_duration_s(container, stream)
@@ -123,19 +178,27 @@ class Video:
             # 25 is FFmpeg's own default for streams without a rate.
             self._nominal_rate = Fraction(rate) if rate else Fraction(25)
             self._counts_slots = container.format.name == "avi"
+            self._is_matroska = "matroska" in container.format.name
+            self._is_mp4 = "mp4" in container.format.name
+            if is_cut_short(container):
+                self._standing_problems.append("the file ends before its last packet does: it is cut short")
+            self._has_times = has_times(container)
             first = first_frame(container, stream, self.path)
             self._orientation, self.rotation_deg, warning = orientation(first)
             if warning:
                 self._standing_warnings.append(warning)
-            if stream.sample_aspect_ratio not in (None, 0, 1):
-                self._standing_warnings.append(
-                    f"pixels are not square (aspect {stream.sample_aspect_ratio}): positions and angles are "
-                    "those of the frame as stored"
-                )
-        self._stored_wh = (first.width, first.height)
-        self.size_wh = self._stored_wh[::-1] if self._orientation.transpose else self._stored_wh
+            if not self._has_times and stream.codec_context.framerate:
+                # FFmpeg takes 25 frames/s for elementary streams; some codecs say their own rate.
+                self._nominal_rate = Fraction(stream.codec_context.framerate)
+            self._stored_wh = (first.width, first.height)
+            displayed, warning = displayed_wh(stream, self._stored_wh)
+            if warning:
+                self._standing_warnings.append(warning)
+        self._stretched_wh = None if displayed == self._stored_wh else displayed
+        self.size_wh = displayed[::-1] if self._orientation.transpose else displayed
         self.warnings = list(self._standing_warnings)
         self.complete = True
+        self.doubtful: list[int] = []
 
     def __enter__(self) -> Video:
         return self
@@ -150,27 +213,64 @@ class Video:
         times: list[float] = []
         undecodable_s: list[float] = []
         n_damaged = 0
-        with open_video(self.path, self._threads) as (container, stream):
-            decoding = Decoding(container, stream, self._stored_wh)
+        with open_video(self.path, self._threads) as (container, stream, heard):
+            decoding = Decoding(
+                container,
+                stream,
+                self._stored_wh,
+                has_times=self._has_times,
+                slots=self._slots(stream),
+                is_cut=bool(self._standing_problems),
+                heard_at_opening=heard,
+            )
+            check = PictureCheck(self.codec)
+            clusters = _Clusters(damaged_ranges(self.path) if self._is_matroska else [])
             start: int | None = None
-            for row in decoding.rows():
+            for row in deinterlaced(decoding.rows()):
                 start = row.stamp if start is None else start
                 time_s = self._time_s(row, len(times), start, stream.time_base or Fraction(1))
                 times.append(time_s)
                 if row.picture is None:
                     undecodable_s.append(time_s)
                 n_damaged += row.damaged
-                yield Frame(len(times) - 1, time_s, row.picture, self._orientation, row.damaged)
+                check.add(len(times) - 1, row, time_s)
+                if clusters.ranges:
+                    clusters.add(len(times) - 1, row)
+                yield Frame(
+                    len(times) - 1, time_s, row.picture, self._orientation, row.damaged, self._stretched_wh
+                )
+            time_base = stream.time_base or Fraction(0)
+            found = _Found(
+                n_hidden=decoding.n_hidden,
+                n_indexed=len(stream.index_entries) if self._is_mp4 else None,
+                start_s=float((start or 0) * time_base),
+                last_s=float(decoding.last_duration * time_base),
+            )
+        is_damaged = bool(
+            undecodable_s or n_damaged or clusters.ranges or self._standing_problems or decoding.problems
+        )
+        self.doubtful = check.doubtful(is_damaged=is_damaged)
+        if self.doubtful and not is_damaged:
+            self.doubtful = check.doubtful(is_damaged=True)
+        if clusters.ranges:
+            self._incomplete(f"{len(clusters.ranges)} parts of the file do not match their checksums")
+            self.doubtful = sorted({*self.doubtful, *clusters.doubtful()})
+        self._doubt_times(np.array(times))
         if undecodable_s:
             self._incomplete(
                 f"{len(undecodable_s)} of {len(times)} frames could not be decoded, "
                 f"the first at {undecodable_s[0]:.3f} s"
             )
         if n_damaged:
-            self._incomplete(f"{n_damaged} frames were decoded from frames that could not be decoded")
-        for problem in decoding.problems:
+            self._incomplete(f"{n_damaged} frames are damaged, or were decoded from frames that are")
+        if self.doubtful:
+            self._incomplete(
+                f"{len(self.doubtful)} frames do not fit those before and after, the first at"
+                f" {times[self.doubtful[0]]:.3f} s: counted as damaged"
+            )
+        for problem in (*self._standing_problems, *decoding.problems):
             self._incomplete(problem)
-        self._compare_with_claims(np.array(times), decoding.n_hidden)
+        self._compare_with_claims(np.array(times), found)
 
     def _time_s(self, row: Row, index: int, start: int | None, time_base: Fraction) -> float:
         if row.stamp is not None and start is not None:
@@ -186,22 +286,42 @@ class Video:
         self.complete = False
         self.warnings.append(warning)
 
-    def _compare_with_claims(self, times: FloatArray, n_hidden: int) -> None:
+    def _doubt_times(self, times: FloatArray) -> None:
+        """Count frames as damaged whose times are not in the order of frames: a wrong time is a wrong row."""
+        if len(times) > 1 and np.any(np.diff(times) < 0):
+            late = times < np.maximum.accumulate(times)
+            early = times > np.minimum.accumulate(times[::-1])[::-1]
+            wrong = early if early.sum() <= late.sum() else late
+            self.doubtful = sorted({*self.doubtful, *np.flatnonzero(wrong).tolist()})
+
+    def _slots(self, stream: av.VideoStream) -> ChunkSlots | None:
+        """The index of an AVI, None for other files and where there is none."""
+        if not self._counts_slots:
+            return None
+        index, position = index_at_end(self.path, stream.index)
+        return ChunkSlots(index, position) if index else None
+
+    def _compare_with_claims(self, times: FloatArray, found: _Found) -> None:
         steps = np.diff(times)
         usual_s = float(np.median(steps)) if len(steps) else float(1 / self._nominal_rate)
-        end_s = float(times[-1]) + usual_s if len(times) else 0.0
+        end_s = float(times[-1]) + max(usual_s, found.last_s) if len(times) else 0.0
         n_found = len(times)
         if self._counts_slots:  # an AVI counts the slots in which its recorder dropped a frame, too
-            n_found = round(end_s * self._nominal_rate)
+            n_found = round((float(times[-1]) + usual_s if n_found else 0.0) * self._nominal_rate)
         if self.claimed_frames is not None:
-            if self.claimed_frames not in (n_found, n_found + n_hidden):
+            # MP4: what lies before an edit list is counted, but has no rows.
+            counts = (n_found, n_found + found.n_hidden)
+            if self.claimed_frames not in counts and found.n_indexed not in counts:
                 verdict = (
                     "it is cut short or damaged" if n_found < self.claimed_frames else "its header is wrong"
                 )
                 self._incomplete(
                     f"the file claims {self.claimed_frames} frames, {n_found} were found: {verdict}"
                 )
-        elif (self._claimed_duration_s or 0.0) - end_s > max(0.1, _PAUSE_INTERVALS * usual_s):
+        # Headers give the length from the first frame, or from the file's own zero.
+        elif (self._claimed_duration_s or 0.0) - end_s - max(0.0, found.start_s) > max(
+            0.1, _PAUSE_INTERVALS * usual_s
+        ):
             self._incomplete(
                 f"the video ends at {end_s:.3f} s, its header says {self._claimed_duration_s:.3f} s: "
                 "it is cut short"
@@ -209,17 +329,19 @@ class Video:
         n_backward = int(np.sum(steps <= 0))
         if n_backward:
             self.warnings.append(f"presentation times do not increase at {n_backward} frames")
-        pauses = np.flatnonzero(steps > _PAUSE_INTERVALS * usual_s)
+        # Where nothing counts the frames, a single one that is missing from an even clock is said too.
+        is_even = len(steps) > 0 and bool(
+            np.mean(np.abs(steps - usual_s) < _EVEN * usual_s + _ROUNDING_S) > _MOSTLY
+        )
+        least = _GAP_INTERVALS if is_even and self.claimed_frames is None else _PAUSE_INTERVALS
+        pauses = np.flatnonzero(steps > least * usual_s)
         if len(pauses):
             longest = pauses[np.argmax(steps[pauses])]
-            warning = (
+            # The camera paused, unless reading the file went wrong.
+            self.warnings.append(
                 f"no frame for {steps[longest]:.3f} s after {times[longest]:.3f} s, where one usually comes "
                 f"every {usual_s:.3f} s ({len(pauses)} such pause{'s' if len(pauses) > 1 else ''})"
             )
-            if self.claimed_frames is None:
-                self._incomplete(warning)  # nothing counts the frames, so they may be lost
-            else:
-                self.warnings.append(warning)  # all there, so the camera paused
 
 
 def read_frame(path: str | Path, index: int) -> ImageArray:

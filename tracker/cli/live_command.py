@@ -70,7 +70,7 @@ def live(
     out: Annotated[
         str | None,
         typer.Option(
-            help="At the end, write a table of this name into PROJECT/results.",
+            help="Write a table of this name into PROJECT/results.",
             metavar="NAME",
             show_default="no table",
         ),
@@ -119,6 +119,7 @@ def live(
     from ... import model_folders
     from ...measuring import network_line
     from ...networks import load_network, measured_angle
+    from ..batch import check_writable
     from ..interruption import stop_event
     from ..live.low_latency import measure_live
     from ..live.output import UdpTarget
@@ -129,6 +130,7 @@ def live(
     folder = opened(project, *(() if source is None else (source,))).folder
     if out is not None:
         _check_free(folder, out)
+        check_writable(folder.results_dir)
     mode = _camera_mode(size, rate, camera_format)
     target = None if udp is None else UdpTarget(udp)
     network = load_network(
@@ -153,12 +155,12 @@ def live(
                 for value in _told(values, format, target):
                     tally.add(value)
                     if kept is not None:
-                        kept.recording.add(value)
+                        kept.add(value)
     finally:
         console.say(tally.line())
         for warning in filmed.warnings:
             console.warn(f"{filmed.name}: {warning}")
-        if kept is not None and tally.latency_ms:
+        if kept is not None:
             kept.write()
 
 
@@ -213,7 +215,7 @@ class _Tally:
 
 
 class _Kept:
-    """What --out writes at the end."""
+    """What --out writes: rows as they come, and at the end the whole table instead."""
 
     def __init__(
         self,
@@ -224,20 +226,44 @@ class _Kept:
         definition: AngleDefinition,
         options: dict[str, Any],
     ) -> None:
-        from ..live.recording import Recording
+        from ..live.recording import PARTIAL_SUFFIX, PartialTable, Recording
         from ..tracking import tracking_settings
 
-        self.recording = Recording(network.keypoints, definition)
+        self._recording = Recording(network.keypoints, definition)
+        self._partial = PartialTable(folder / f"{stem}{PARTIAL_SUFFIX}", network.keypoints)
+        self._grows = True
         self._folder, self._stem, self._source = folder, stem, source
         self._provenance = network.provenance
         self._settings = tracking_settings(definition, **options)
 
+    def add(self, value: LiveValue) -> None:
+        self._recording.add(value)
+        if self._grows:
+            try:
+                self._partial.add(value)
+            except ResultsError as error:
+                # Whoever steers by the values needs the next one more than this row.
+                self._grows = False
+                console.warn(str(error))
+
     def write(self) -> None:
+        if not len(self._recording):
+            self._partial.close(keep=False)
+            return
+        try:
+            self._write_whole()
+        except BaseException:
+            self._partial.close(keep=True)
+            console.say(f"The rows are in {self._partial.path}")
+            raise
+        self._partial.close(keep=False)
+
+    def _write_whole(self) -> None:
         from ..bookkeeping import record_file
         from ..figures import write_angle_figure
         from ..results import write_results
 
-        table = self.recording.table(
+        table = self._recording.table(
             self._source.name, self._provenance, self._settings, self._source.warnings
         )
         csv_path, _, _ = write_results(table, self._folder, self._stem)
@@ -268,10 +294,12 @@ def _camera_mode(size: str | None, rate: float | None, format: str | None) -> Ca
 
 def _check_free(project: Project, name: str) -> None:
     """See that a table of this name would overwrite nothing."""
+    from ..live.recording import PARTIAL_SUFFIX
+
     folder = project.results_dir
     if Path(name).name != name or name.startswith("."):
         raise BendtrackError(f"--out: expected the name of a table, got '{name}'")
     taken = [folder / f"{name}{suffix}" for suffix in (".csv", ".h5", ".json", ".png")]
-    for path in taken:
+    for path in (*taken, folder / f"{name}{PARTIAL_SUFFIX}"):
         if path.exists():
             raise ResultsError(f"--out: expected a new name, got '{name}': {path} is there already")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
@@ -33,8 +34,10 @@ def show_outcomes(outcomes: Iterable[VideoOutcome]) -> None:
     problems = [outcome for outcome in done if outcome.problem is not None]
     if not problems:
         return
-    if len(done) > 1:
-        console.complain(f"{len(problems)} of {len(done)} videos failed or are damaged, the others are done:")
+    videos = {outcome.video for outcome in done}
+    if len(videos) > 1:
+        bad = {outcome.video for outcome in problems}
+        console.complain(f"{len(bad)} of {len(videos)} videos failed or are damaged, the others are done:")
     for outcome in problems:
         console.complain(f"{outcome.video}: {outcome.problem}")
     raise typer.Exit(1)
@@ -67,6 +70,8 @@ def _show(outcome: VideoOutcome) -> None:
 
     if outcome.state is State.FAILED or outcome.table is None:
         console.say(f"{outcome.video}: failed")
+        if outcome.error is not None and console.debugging():
+            traceback.print_exception(outcome.error)
         return
     if outcome.state is State.UP_TO_DATE:
         console.say(f"{outcome.video}: up to date, skipped")

@@ -13,7 +13,8 @@ import av
 from av.codec.context import Flags as CodecFlags
 from av.format import Flags as FormatFlags
 
-from ..container import Orientation, orientation
+from ..container import Orientation, decoder_options, displayed_wh, orientation
+from ..decoder_log import complaints, listen
 from ..errors import VideoError, reason
 from ..video import Frame, Video
 from .cameras import Camera, CameraMode, cameras, find_camera, is_camera_device, opening
@@ -137,10 +138,16 @@ class Stream:
     def __init__(self, address: str, name: str, format: str | None, options: Mapping[str, str]) -> None:
         self.name = name
         self.warnings: list[str] = []
+        listen()
         try:
-            self._container = av.open(
-                address, format=format, options=dict(options), timeout=(_OPEN_S, _SILENCE_S)
-            )
+            with av.logging.Capture():
+                self._container = av.open(
+                    address,
+                    format=format,
+                    options=dict(options),
+                    timeout=(_OPEN_S, _SILENCE_S),
+                    metadata_errors="replace",
+                )
         except av.ExitError as error:
             raise VideoError(f"{name}: no answer within {_OPEN_S:g} s") from error
         except (av.FFmpegError, OSError, ValueError) as error:
@@ -153,10 +160,16 @@ class Stream:
         context = self._stream.codec_context
         context.thread_count = 1  # each further thread would delay by one frame
         context.flags |= CodecFlags.low_delay
+        context.options = {**context.options, **decoder_options(context.name)}
         self.size_wh = (context.width, context.height)
         if not all(self.size_wh):
             self._container.close()
             raise VideoError(f"{name}: delivers no frame")
+        # Pixels that are not square are stretched, as they are in files.
+        displayed, warning = displayed_wh(self._stream, self.size_wh)
+        self.warnings += [] if warning is None else [warning]
+        self._stretched_wh = None if displayed == self.size_wh else displayed
+        self.size_wh = displayed
         rate = self._stream.average_rate or self._stream.guessed_rate
         self.rate = float(rate) if rate else None
         # For formats without timestamps FFmpeg invents times at a constant rate.
@@ -257,37 +270,50 @@ class Stream:
     def _decoded(self) -> Iterator[Arrival]:
         """All frames; `time_s` is the raw presentation time, NaN where there is none."""
         turn: Orientation | None = None
-        damaged = False  # since a frame that could not be decoded, up to the next key frame
-        for at_s, stamp_s, frame in self._av_frames():
-            if frame is None or frame.key_frame:
-                damaged = frame is None
+        damaged = False  # since a frame that is missing or not sound, up to the next key frame
+        for at_s, stamp_s, frame, is_sound in self._av_frames():
+            if frame is None or frame.key_frame or not is_sound:
+                damaged = frame is None or not is_sound
             if frame is not None and turn is None:
                 turn, _, _ = orientation(frame)
-            yield Arrival(
-                Frame(0, stamp_s, frame, turn or Orientation(), damaged and frame is not None), at_s
-            )
+                if frame.interlaced_frame:
+                    self.warnings.append(
+                        "pictures are interlaced: moving edges are seen twice; film progressively"
+                    )
+            is_damaged = damaged and frame is not None
+            shown = Frame(0, stamp_s, frame, turn or Orientation(), is_damaged, self._stretched_wh)
+            yield Arrival(shown, at_s)
 
-    def _av_frames(self) -> Iterator[tuple[float, float, av.VideoFrame | None]]:
-        """Arrival time of each packet, its presentation time in s, and its frame, None if it could not be decoded."""
+    def _av_frames(self) -> Iterator[tuple[float, float, av.VideoFrame | None, bool]]:
+        """Arrival and presentation time in s of each frame, the frame (None: undecodable), and whether it is sound."""
         packets = self._container.demux(self._stream)
+        is_sound = True
         while True:
             try:
-                packet = next(packets)
-            except StopIteration:
+                with av.logging.Capture() as logs:
+                    packet = next(packets)
+            except (StopIteration, IndexError):  # IndexError: see `decoding.py`
                 break
             except av.ExitError as error:
                 raise VideoError(f"{self.name}: no frame came for {_SILENCE_S:g} s") from error
             except (av.FFmpegError, OSError) as error:
                 raise VideoError(f"{self.name}: stopped delivering frames ({reason(error)})") from error
             at_s = time.perf_counter()
-            try:
-                for frame in self._stream.codec_context.decode(packet):
-                    stamp_s = self._stamp_s(frame)
-                    yield at_s, stamp_s, None if frame.is_corrupt else frame
-            except av.EOFError:
-                break
-            except av.FFmpegError:
-                yield at_s, self._stamp_s(packet), None
+            is_sound = not complaints(logs) and not packet.is_corrupt
+            frames: list[av.VideoFrame] = []
+            failed = False
+            with av.logging.Capture() as logs:
+                try:
+                    frames = self._stream.codec_context.decode(packet)
+                except av.EOFError:
+                    break
+                except av.FFmpegError:
+                    failed = True
+            is_sound = is_sound and not complaints(logs)
+            if failed:
+                yield at_s, self._stamp_s(packet), None, False
+            for frame in frames:
+                yield at_s, self._stamp_s(frame), None if frame.is_corrupt else frame, is_sound
         if not self._has_end:
             raise VideoError(f"{self.name}: stopped delivering frames")
 
