@@ -262,6 +262,8 @@ def test_the_commands_say_it_in_one_line(project, home, bendtrack) -> None:
 OTHER_WRITERS = {
     ("tracker/atomic.py", "os.open"): "the rule's user: a new file, or a lock",
     ("tracker/atomic.py", "os.replace"): "the rule's user",
+    ("tracker/atomic.py", "mkdir"): "behind refuse_links",
+    ("tracker/live/recording.py", "open"): "a new file only, which no link can be, behind make_folder",
     ("tracker/atomic.py", "write_text"): "into a temporary file of its own",
     ("tracker/atomic.py", "write_bytes"): "into a temporary file of its own",
     ("tracker/links.py", "os.open"): "the rule",
@@ -273,8 +275,7 @@ OTHER_WRITERS = {
     ("labeling/journal.py", "os.open"): "a folder, to flush it",
     ("labeling/private_folder.py", "mkdir"): "refuses a link first",
     ("labeling/private_folder.py", "chmod"): "refuses a link first",
-    ("labeling/interop/exporting.py", "mkdir"): "a new folder at random, behind refuse_links",
-    ("labeling/interop/exporting.py", "os.replace"): "behind refuse_links",
+    ("labeling/interop/exporting.py", "mkdir"): "into the new folder",
     ("labeling/interop/exporting.py", "shutil.copyfile"): "into the new folder",
     ("labeling/interop/dlc_export.py", "mkdir"): "into the new folder",
     ("labeling/interop/dlc_export.py", "write_text"): "into the new folder",

@@ -88,9 +88,10 @@ def atomic_folder(out: str | Path) -> Iterator[Path]:
     Raises
     ------
     OSError
-        The folder cannot be written.
+        The folder cannot be written, or lies behind a link in a project (`links.LinkError`).
     """
     out = Path(out)
+    refuse_links(out)
     remove_leftovers(out.parent, out.name)
     staging = out.parent / f".{out.name[:40]}.{secrets.token_hex(6)}.tmp"
     lock: int | None = None

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from ...tracker.atomic import atomic_folder
 from ...tracker.errors import LabelError
-from ...tracker.links import make_folder, refuse_links
+from ...tracker.links import make_folder
 from ...tracker.project import Project
 from ...tracker.types import FloatArray
 from ..label_table import LabelTable
@@ -162,7 +162,6 @@ def new_folder(out: Path) -> Iterator[Path]:
         raise LabelError(
             f"expected a new or an empty folder to export to, got one with something in it: {out}"
         )
-    refuse_links(out)
     make_folder(out.parent)
     with atomic_folder(out) as staging:
         yield staging

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..angle import AngleDefinition
 from ..errors import ResultsError, reason
+from ..links import make_folder
 from ..results import AngleTable, json_ready
 from ..types import Flag
 from .low_latency import LiveValue
@@ -47,7 +48,7 @@ class PartialTable:
         columns += [f"{name}_{part}" for name in keypoints for part in ("x", "y", "likelihood")]
         self._empty = "," * (3 * len(keypoints))
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
+            make_folder(path.parent)
             # Exclusive: what an earlier recording left is the user's. One write a line, so that no line is half.
             self._file: TextIO = path.open("x", encoding="utf-8", newline="\n", buffering=1)
             self._file.write(",".join(columns) + "\n")
