@@ -21,8 +21,7 @@ from .types import BoolArray, FloatArray, ImageArray
 
 # Samples along the axes of the luma; chroma has half as many, since damage of colour alone is common.
 _SAMPLES_XY = (80, 60)
-# Decoders that notice most damage themselves: of their pictures a quarter of the luma does, which takes a tenth of the
-# time.
+# Decoders that notice damage themselves: of 190 damaged films by them the check found nothing more.
 _NOTICING = ("h264", "mpeg4", "mpeg2video", "mpeg1video")
 # Grey levels by which a changed sample differs: above the noise of cameras, below what damage does.
 _CHANGED = 14
@@ -59,7 +58,7 @@ class PictureCheck:
     """
 
     def __init__(self, codec: str) -> None:
-        self._is_coarse = codec in _NOTICING
+        self._is_needed = codec not in _NOTICING
         self._sampler: _Sampler | None = None
         self._rows = array("q")  # indices of the rows below
         self._changed = array("d")  # share of samples that differ from the row before
@@ -84,10 +83,10 @@ class PictureCheck:
         time_s : float
             Its time, s.
         """
-        if row.picture is None or row.damaged:
+        if not self._is_needed or row.picture is None or row.damaged:
             return
         if self._sampler is None or not self._sampler.fits(row.picture):
-            self._sampler = _Sampler(row.picture, self._is_coarse)
+            self._sampler = _Sampler(row.picture)
         now = self._sampler.samples(row.picture)
         if self._last and len(self._last[-1]) != len(now):
             return
@@ -150,8 +149,7 @@ class PictureCheck:
         if not key.all() and is_damaged:
             doubtful |= self._there_and_back(burst, usual * longer)
             unexplained = known > _BURST_RATIO * longer * usual + _ONSET_SHARE
-            if not self._is_coarse:
-                unexplained |= known > _STRICT_RATIO * longer * _next_to(changed) + _STRICT_SHARE
+            unexplained |= known > _STRICT_RATIO * longer * _next_to(changed) + _STRICT_SHARE
             doubtful |= self._unexplained(unexplained & ~doubtful & (known < _EVERYTHING), changed, usual)
         elif key.all() and n > 2 * _LEAST_ROWS:
             # The first and the last have a neighbour on one side only.
@@ -224,16 +222,15 @@ class PictureCheck:
 class _Sampler:
     """Takes samples of the planes of pictures on a grid; how, is worked out once for a size and format."""
 
-    def __init__(self, picture: av.VideoFrame, is_coarse: bool) -> None:
-        self._is_coarse = is_coarse
+    def __init__(self, picture: av.VideoFrame) -> None:
         self._layout = picture.format.name, picture.width, picture.height
         components = picture.format.components
         self._planes: list[tuple[slice, slice, int, int]] = []  # rows, columns, their number, bits above 8
         is_packed = len(picture.planes) == 1
-        for number, plane in enumerate(picture.planes[: 1 if is_coarse else 3]):
+        for number, plane in enumerate(picture.planes[:3]):
             bits = components[min(number, len(components) - 1)].bits
             pixel = max(1, len(components)) if is_packed else 1
-            share = 2 if number or is_coarse else 1
+            share = 2 if number else 1
             step_y = max(1, plane.height * share // _SAMPLES_XY[1])
             step_x = max(1, plane.width * share // _SAMPLES_XY[0]) * pixel
             columns = slice(0, min(plane.line_size // (1 + (bits > 8)), plane.width * pixel), step_x)
@@ -249,7 +246,7 @@ class _Sampler:
         planes = picture.planes
         for plane, (rows, columns, line_bytes, more_bits) in zip(planes, self._planes, strict=False):
             if plane.line_size != line_bytes:  # the decoder has other buffers now
-                return _Sampler(picture, self._is_coarse).samples(picture)
+                return _Sampler(picture).samples(picture)
             if more_bits:
                 wide = np.frombuffer(memoryview(plane), "<u2").reshape(-1, line_bytes // 2)[rows, columns]
                 found.append((wide >> more_bits).astype(np.uint8).ravel())
