@@ -19,6 +19,7 @@ from .reporting import SILENT, Reporter
 from .tracker.atomic import atomic_write_text, remove_leftovers
 from .tracker.errors import BendtrackError, CheckpointError, LabelError, TrainingError
 from .tracker.extras import training_packages_needed
+from .tracker.folder_lock import FolderInUseError, folder_lock
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -121,8 +122,10 @@ def stored_settings(folder: Path, given: Mapping[str, Any]) -> TrainingSettings:
 
     path = folder / model_folders.SETTINGS_FILE
     try:
-        return TrainingSettings(**{**json.loads(path.read_text(encoding="utf-8")), **given})
-    except (ValueError, TypeError) as error:
+        stored = json.loads(path.read_text(encoding="utf-8"))
+        stored.pop(model_folders.STARTED, None)
+        return TrainingSettings(**{**stored, **given})
+    except (OSError, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise TrainingError(f"--resume: expected training settings in {path}, got a damaged file") from error
 
 
@@ -162,10 +165,35 @@ def train_network(
     LabelError
         There are no labels, or a picture cannot be read.
     TrainingError
-        The loss is not finite, or what was stopped does not fit.
+        The loss is not finite, what was stopped does not fit, or another process trains into this folder.
     StoppedTraining
         Ctrl-C. Where a step was done, its state is saved.
     """
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        with folder_lock(folder, wait=False):
+            try:
+                return _train_locked(project, folder, settings, resume, started_s, reporter)
+            except BaseException:
+                with suppress(OSError):  # where nothing was written, nothing is left
+                    folder.rmdir()
+                raise
+    except FolderInUseError:
+        raise TrainingError(
+            f"expected a network that is not being trained, got '{folder.name}', which another process trains:"
+            " wait for it, or train another with --name"
+        ) from None
+
+
+def _train_locked(
+    project: ProjectFolder,
+    folder: Path,
+    settings: TrainingSettings,
+    resume: bool,
+    started_s: float | None,
+    reporter: Reporter,
+) -> TrainedNetwork:
+    """`train_network`, in a folder that no other process trains into."""
     started_s = time.monotonic() if started_s is None else started_s
     frames = labels_of(project, project.keypoints)
     definition = angle_of(project, frames)
@@ -178,12 +206,12 @@ def train_network(
         f"{'Going on with' if resume else 'Training'} '{folder.name}' on {len(frames)} labelled frames"
     )
     _say_start(settings, reporter)
-    folder.mkdir(parents=True, exist_ok=True)
     state, stored = folder / STATE_FILE, folder / model_folders.SETTINGS_FILE
     remove_leftovers(folder)
     if not resume:
         state.unlink(missing_ok=True)
-    atomic_write_text(stored, json.dumps(settings.to_dict(), indent=2) + "\n")
+    started = {model_folders.STARTED: model_folders.start_of_training(project)}
+    atomic_write_text(stored, json.dumps({**settings.to_dict(), **started}, indent=2) + "\n")
     again = ["bendtrack", "train", str(project.root)]
     try:
         with reporter.training(folder.name) as progress:
@@ -195,6 +223,7 @@ def train_network(
                 settings,
                 resume=state.is_file(),  # it may have been stopped before it saved anything
                 started_s=started_s,
+                latest=model_folders.latest_training(project),
                 progress=progress,
             )
     except KeyboardInterrupt:

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,7 @@ from ..inference.bias import correct_bias
 from ..inference.calibration import calibrate
 from ..inference.coarse_to_fine import concatenated
 from ..inference.crops import CropGeometry
+from ..inference.metadata import later_than
 from ..inference.roi import reference_distances
 from ..networks.cascade import Cascade
 from ..networks.checkpoint import Checkpoint, best_device
@@ -98,6 +100,7 @@ def train(
     *,
     resume: bool = False,
     started_s: float | None = None,
+    latest: datetime | None = None,
     progress: Callable[[Progress], None] | None = None,
     evaluate_every: int = EVALUATE_EVERY,
 ) -> Checkpoint:
@@ -119,6 +122,8 @@ def train(
     started_s : float, optional
         `time.monotonic()` from which `settings.max_minutes` count, the end of training included. Default: now. In a
         resumed training, the time that was used before counts too.
+    latest : datetime, optional
+        When the newest network next to this one was trained: the time that the checkpoint records is later than it.
     progress : callable, optional
         Called after each step.
     evaluate_every : int
@@ -146,6 +151,7 @@ def train(
     trainer = _Trainer(data, definition, Path(folder), settings, evaluate_every, resume=resume)
     trainer.run(started_s, progress)
     checkpoint = trainer.finish()
+    checkpoint = replace(checkpoint, training={**checkpoint.training, "trained_at": later_than(latest)})
     checkpoint.save(Path(folder))
     trainer.state_file.unlink(missing_ok=True)
     return checkpoint
