@@ -208,7 +208,7 @@ def engine_folder(checkpoint_file: Path) -> Path:
 
 
 def engine_record(checkpoint_file: Path, sha256: str) -> EngineRecord | None:
-    """The record of the engines next to a checkpoint; None where it is damaged or of another checkpoint, or there is none."""
+    """The record of the engines next to a checkpoint; None where it is missing, damaged or of another checkpoint."""
     try:
         values = json.loads((engine_folder(checkpoint_file) / RECORD).read_text(encoding="utf-8"))
         built_for = (values["format"], values["checkpoint_sha256"], values["openvino"])
