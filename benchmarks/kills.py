@@ -89,7 +89,8 @@ COMMANDS = {
     "train": Command(
         "train {}labelled --name net", ("labelled",), again="train {}labelled --name net --overwrite"
     ),
-    "resume": Command("train {}stopped --resume", ("stopped",)),
+    # A kill between the network and its figures leaves nothing to resume: the network is there, and is evaluated.
+    "resume": Command("train {}stopped --resume", ("stopped",), again="evaluate {}stopped"),
     "evaluate": Command("evaluate {}trained", ("trained",)),
     "track": Command("track {}trained {}film.mp4 --overlay", ("trained", "film.mp4")),
     "compile": Command("track {}plain {}film.mp4 --engine openvino", ("plain", "film.mp4")),
@@ -301,7 +302,7 @@ def content(path: Path) -> Any:
             with h5py.File(path) as file:
                 file.visititems(
                     lambda name, item: (
-                        found.update({name: np.asarray(item[()]).tobytes()})
+                        found.update({name: np.asarray(item[()]).tolist().__repr__()})
                         if isinstance(item, h5py.Dataset) and name != "provenance"
                         else None
                     )

@@ -497,7 +497,8 @@ def _write(evaluation: Evaluation, folder: Path, rows: list[dict[str, float]], *
     from .models.evaluation import write_evaluation
     from .models.figures import write_figures
 
-    folder.mkdir(parents=True, exist_ok=True)
+    folder.mkdir(exist_ok=True)
+    remove_leftovers(folder)  # of a process that was killed at this point
     write_evaluation(evaluation, folder / "evaluation.json", **more)
     write_figures(evaluation, rows, folder)
 
@@ -506,8 +507,13 @@ def _training_rows(folder: Path) -> list[dict[str, float]]:
     path = folder / "training.csv"
     if not path.is_file():
         return []
-    with path.open(newline="", encoding="utf-8") as file:
-        return [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            return [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
+    except (ValueError, TypeError, csv.Error) as error:  # only a figure is made from it
+        raise TrainingError(
+            f"{path}: expected the rows of a training, got a damaged file; remove it to go on without its figure"
+        ) from error
 
 
 def _say_start(settings: TrainingSettings, reporter: Reporter) -> None:

@@ -274,6 +274,12 @@ def _save(model: Any, path: Path) -> dict[str, str]:
 
 
 def _make_way(path: Path) -> None:
-    """Remove an empty folder that has the name of a file; one with something in it stays, and writing fails."""
+    """Remove a link or an empty folder that has the name of a file; a folder with something in it stays.
+
+    A link is not followed: what it points to is not an engine's file.
+    """
     with suppress(OSError):
-        path.rmdir()
+        if path.is_symlink():
+            path.unlink()
+        else:
+            path.rmdir()

@@ -44,7 +44,7 @@ def write_figures(evaluation: Evaluation, rows: Sequence[dict[str, float]], fold
     list of Path
         The files written.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    folder.mkdir(exist_ok=True)
     figures = {"errors.png": _errors(evaluation), "worst-frames.png": _worst(evaluation)}
     if rows:
         figures["learning-curve.png"] = _learning_curve(rows)

@@ -148,13 +148,30 @@ def train(
     started_s = time.monotonic() if started_s is None else started_s
     settings = settings or TrainingSettings()
     data = load_training_data(frames, keypoints, settings)
+    Path(folder).mkdir(parents=True, exist_ok=True)
     trainer = _Trainer(data, definition, Path(folder), settings, evaluate_every, resume=resume)
     trainer.run(started_s, progress)
     checkpoint = trainer.finish()
     checkpoint = replace(checkpoint, training={**checkpoint.training, "trained_at": later_than(latest)})
+    check_still_there(Path(folder))
     checkpoint.save(Path(folder))
     trainer.state_file.unlink(missing_ok=True)
     return checkpoint
+
+
+def check_still_there(folder: Path) -> None:
+    """Check that the folder that a training began in was not renamed or moved: nothing is written under its old name.
+
+    Raises
+    ------
+    TrainingError
+        It is gone.
+    """
+    if not folder.is_dir():
+        raise TrainingError(
+            f"{folder}: expected the folder that the training began in, got none; if it was renamed, train there"
+            " with --resume, which goes on from the state saved last"
+        )
 
 
 class _Trainer:
@@ -395,7 +412,7 @@ class _Trainer:
 
     def save_state(self) -> None:
         """Write all that a resumed training needs, and training.csv, each whole or not at all."""
-        self.folder.mkdir(parents=True, exist_ok=True)
+        check_still_there(self.folder)
         save_state(self.state_file, self.state, self.networks.optimisers)
         if self.state.rows:  # none before the first evaluation
             write_rows(self.folder, self.state.rows)
