@@ -399,7 +399,7 @@ class Bench:
     def again(self, folder: Path, case: Case) -> None:
         """The command once more: it must end well, with what it would have written undisturbed."""
         for arguments in dict.fromkeys(
-            (self.command.again or self.command.arguments, self.command.arguments)
+            (self.command.arguments, self.command.again or self.command.arguments)
         ):
             status, err = ended(started(folder, arguments))
             if status == 0:
