@@ -331,6 +331,7 @@ def cross_validated(project: ProjectFolder, folds: int, reporter: Reporter = SIL
         evaluation = cross_validate(
             frames, project.keypoints, angle_of(project, frames), settings, folds, progress=progress
         )
+    project.models_dir.mkdir(exist_ok=True)
     _write(
         evaluation,
         project.models_dir / model_folders.CROSS_VALIDATION,
