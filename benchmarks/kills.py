@@ -102,7 +102,9 @@ COMMANDS = {
     ),
     "first-study": Command("analyze --init {}rig", ("rig",)),
     "analyze": Command("analyze {}rig2/study.toml --out {}out", ("rig2",)),
-    "render": Command("render {}out --cycles 1 --frequency-hz 2 --labels 4 --size 160x120"),
+    "render": Command(
+        "render {}out --cycles 1 --frequency-hz 2 --labels 4 --size 160x120 --end-vector-px 12"
+    ),
     "label": Command("label {}labelled --no-browser", ("labelled",)),
 }
 
