@@ -15,6 +15,7 @@ from .tracker.extras import training_packages_needed
 
 if TYPE_CHECKING:
     from .models.detector import NetworkDetector
+    from .models.inference.runtime import EngineError
     from .tracker.angle import AngleDefinition
     from .tracker.project import Project as ProjectFolder
     from .tracker.types import Detector, Frames
@@ -65,27 +66,33 @@ def load_network(
     """
     from .models.detector import CHOICES, DEVICES, NetworkDetector
     from .models.inference.metadata import read_metadata, weights_file
-    from .models.inference.runtime import ENGINES, engine_record
+    from .models.inference.runtime import EngineError
     from .models.inference.stages import StageSettings
-    from .tracker.hashing import file_sha256
 
     for option, value, choices in (("--engine", engine, CHOICES), ("--device", device, DEVICES)):
         if value not in choices:
             raise BendtrackError(f"{option}: expected {', '.join(choices)}, got '{value}'")
     file = weights_file(folder)
     read_metadata(file)  # a file that is no network is not compiled
-    on_cpu = device == "cpu" or engine in ENGINES or not NetworkDetector.gpu_is_likely()
-    if on_cpu and engine != "torch" and engine_record(file, file_sha256(file)) is None:
-        _compile(folder, reporter)
-    with training_packages_needed(f"'{folder.name}' with engine torch"):
-        return NetworkDetector.load(
-            folder,
-            engine=engine,
-            device=device,
-            threads=threads,
-            low_latency=low_latency,
-            stages=StageSettings(self_training=self_training),
-        )
+
+    def load(require_compiled: bool) -> NetworkDetector:
+        with training_packages_needed(f"'{folder.name}' with engine torch"):
+            return NetworkDetector.load(
+                folder,
+                engine=engine,
+                device=device,
+                threads=threads,
+                low_latency=low_latency,
+                stages=StageSettings(self_training=self_training),
+                require_compiled=require_compiled,
+            )
+
+    try:
+        return load(require_compiled=True)
+    except EngineError as error:
+        compiled = _compile(folder, reporter, error)
+    # What was compiled just now is whole; what could not be compiled is done by torch, and was said.
+    return load(require_compiled=compiled)
 
 
 def measured_angle(
@@ -155,21 +162,36 @@ class Localizer:
         return own, own.metadata.definition
 
 
-def _compile(folder: Path, reporter: Reporter) -> None:
-    """Build the fast engines of a network next to it."""
+def _compile(folder: Path, reporter: Reporter, why: EngineError) -> bool:
+    """Build the fast engines of a network next to it; False where that fails, which is said."""
+    from .models.inference.checksum import DamagedFileError, check_checksum
+    from .models.inference.metadata import weights_file
+    from .models.inference.runtime import built_from
+    from .tracker.hashing import file_sha256
+
+    file = weights_file(folder)
+    # A damaged network would be compiled like any other.
+    if not check_checksum(file) and built_from(file) not in (None, file_sha256(file)):
+        reporter.warn(
+            f"{file}: not the file that was compiled before, and from a version of bendtrack that recorded no"
+            " checksum: it may be damaged; train again if you did not replace it"
+        )
+    if why.damaged:
+        reporter.warn(f"{why}; it is compiled again")
     with training_packages_needed(f"'{folder.name}' is not compiled for this machine yet, which"):
         from .models.export import build_beside
 
     reporter.say(f"Compiling '{folder.name}' for the CPU (once)")
     try:
         record = build_beside(folder)
-    except MissingPackageError:
+    except (MissingPackageError, DamagedFileError):
         raise
     except (BendtrackError, OSError) as error:
         reporter.warn(f"'{folder.name}' could not be compiled and will be slower: {error}")
-        return
+        return False
     for name, check in record.engines.items():
         drift = f"{name}: {check.drift_px:.3f} px and {check.drift_deg:.3f}° from float32"
         reporter.detail(drift if check.passed else f"{drift}: refused")
-    for name, why in record.skipped.items():
-        reporter.say(f"{name} is not built: {why}")
+    for name, reason in record.skipped.items():
+        reporter.say(f"{name} is not built: {reason}")
+    return True

@@ -330,13 +330,15 @@ class Project:
             folder = model_folders.folder_to_resume(self.folder, name)
             settings = training.stored_settings(folder, given)
         else:
-            folder = model_folders.new_folder(self.folder, name, overwrite)
             settings = training.planned_settings(self.folder, given)
-            for stopped in model_folders.unfinished(self.folder):
-                if name is None:
+            if name is None:
+                for stopped in model_folders.unfinished(self.folder):
                     self._reporter.warn(
-                        f"'{stopped.name}' is a training that was stopped; --resume goes on with it"
+                        f"'{stopped.name}' is being trained by another process"
+                        if model_folders.in_use(stopped)
+                        else f"'{stopped.name}' is a training that was stopped; --resume goes on with it"
                     )
+            folder = model_folders.new_folder(self.folder, name, overwrite)
         return training.train_network(
             self.folder, folder, settings, resume=resume, started_s=started_s, reporter=self._reporter
         )
@@ -367,7 +369,7 @@ class Project:
         if folds is not None:
             return training.cross_validated(self.folder, folds, self._reporter)
         return training.evaluate_network(
-            self.folder, model_folders.chosen(self.folder, model), self._reporter
+            self.folder, model_folders.chosen(self.folder, model, self._reporter), self._reporter
         )
 
     @overload
@@ -467,7 +469,7 @@ class Project:
         paths = listed_videos(videos)
         folder = out or self.folder.results_dir
         check_writable(folder)
-        chosen = model_folders.chosen(self.folder, model)
+        chosen = model_folders.chosen(self.folder, model, self._reporter)
         network = load_network(chosen, engine, device, threads, reporter=self._reporter)
         batch = Batch(
             network,

@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any
 from . import model_folders
 from .reporting import SILENT, Reporter
 from .tracker.atomic import atomic_write_text, remove_leftovers
-from .tracker.errors import BendtrackError, CheckpointError, LabelError, TrainingError, reason
+from .tracker.errors import BendtrackError, CheckpointError, LabelError, TrainingError
 from .tracker.extras import training_packages_needed
+from .tracker.folder_lock import FolderInUseError, folder_lock
 from .tracker.links import make_folder
 
 if TYPE_CHECKING:
@@ -122,8 +123,10 @@ def stored_settings(folder: Path, given: Mapping[str, Any]) -> TrainingSettings:
 
     path = folder / model_folders.SETTINGS_FILE
     try:
-        return TrainingSettings(**{**json.loads(path.read_text(encoding="utf-8")), **given})
-    except (ValueError, TypeError, RecursionError) as error:
+        stored = json.loads(path.read_text(encoding="utf-8"))
+        stored.pop(model_folders.STARTED, None)
+        return TrainingSettings(**{**stored, **given})
+    except (OSError, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise TrainingError(f"--resume: expected training settings in {path}, got a damaged file") from error
 
 
@@ -163,10 +166,35 @@ def train_network(
     LabelError
         There are no labels, or a picture cannot be read.
     TrainingError
-        The loss is not finite, or what was stopped does not fit.
+        The loss is not finite, what was stopped does not fit, or another process trains into this folder.
     StoppedTraining
         Ctrl-C. Where a step was done, its state is saved.
     """
+    make_folder(folder)
+    try:
+        with folder_lock(folder, wait=False):
+            try:
+                return _train_locked(project, folder, settings, resume, started_s, reporter)
+            except BaseException:
+                with suppress(OSError):  # where nothing was written, nothing is left
+                    folder.rmdir()
+                raise
+    except FolderInUseError:
+        raise TrainingError(
+            f"expected a network that is not being trained, got '{folder.name}', which another process trains:"
+            " wait for it, or train another with --name"
+        ) from None
+
+
+def _train_locked(
+    project: ProjectFolder,
+    folder: Path,
+    settings: TrainingSettings,
+    resume: bool,
+    started_s: float | None,
+    reporter: Reporter,
+) -> TrainedNetwork:
+    """`train_network`, in a folder that no other process trains into."""
     started_s = time.monotonic() if started_s is None else started_s
     frames = labels_of(project, project.keypoints)
     definition = angle_of(project, frames)
@@ -179,12 +207,12 @@ def train_network(
         f"{'Going on with' if resume else 'Training'} '{folder.name}' on {len(frames)} labelled frames"
     )
     _say_start(settings, reporter)
-    make_folder(folder)
     state, stored = folder / STATE_FILE, folder / model_folders.SETTINGS_FILE
     remove_leftovers(folder)
     if not resume:
         state.unlink(missing_ok=True)
-    atomic_write_text(stored, json.dumps(settings.to_dict(), indent=2) + "\n")
+    started = {model_folders.STARTED: model_folders.start_of_training(project)}
+    atomic_write_text(stored, json.dumps({**settings.to_dict(), **started}, indent=2) + "\n")
     again = ["bendtrack", "train", str(project.root)]
     try:
         with reporter.training(folder.name) as progress:
@@ -196,6 +224,7 @@ def train_network(
                 settings,
                 resume=state.is_file(),  # it may have been stopped before it saved anything
                 started_s=started_s,
+                latest=model_folders.latest_training(project),
                 progress=progress,
             )
     except KeyboardInterrupt:
@@ -303,6 +332,7 @@ def cross_validated(project: ProjectFolder, folds: int, reporter: Reporter = SIL
         evaluation = cross_validate(
             frames, project.keypoints, angle_of(project, frames), settings, folds, progress=progress
         )
+    make_folder(project.models_dir, parents=False)
     _write(
         evaluation,
         project.models_dir / model_folders.CROSS_VALIDATION,
@@ -469,7 +499,8 @@ def _write(evaluation: Evaluation, folder: Path, rows: list[dict[str, float]], *
     from .models.evaluation import write_evaluation
     from .models.figures import write_figures
 
-    make_folder(folder)
+    make_folder(folder, parents=False)
+    remove_leftovers(folder)  # of a process that was killed at this point
     write_evaluation(evaluation, folder / "evaluation.json", **more)
     write_figures(evaluation, rows, folder)
 
@@ -481,13 +512,9 @@ def _training_rows(folder: Path) -> list[dict[str, float]]:
     try:
         with path.open(newline="", encoding="utf-8") as file:
             return [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
-    except (
-        ValueError,
-        TypeError,
-        csv.Error,
-    ) as error:  # TypeError: a row with more or fewer fields than names
+    except (ValueError, TypeError, csv.Error) as error:  # only a figure is made from it
         raise TrainingError(
-            f"{path}: expected a table of numbers, got a mistake ({reason(error)})"
+            f"{path}: expected the rows of a training, got a damaged file; remove it to go on without its figure"
         ) from error
 
 

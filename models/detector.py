@@ -9,18 +9,19 @@ from __future__ import annotations
 import math
 import os
 import shutil
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from ..tracker.errors import CheckpointError
+from ..tracker.errors import BendtrackWarning, CheckpointError
 from ..tracker.hashing import file_sha256
 from ..tracker.types import Detections, Frames
 from .inference.coarse_to_fine import CoarseToFineEstimator
 from .inference.crops import CropGeometry
 from .inference.metadata import CheckpointMetadata, read_metadata, weights_file
-from .inference.runtime import ENGINES, EngineRecord, compiled_estimator, engine_record
+from .inference.runtime import ENGINES, EngineError, EngineRecord, compiled_estimator, engine_record
 from .inference.stages import ALL_STAGES, StageSettings
 from .inference.tracking import KeypointTracker
 from .inference.tta import FlipAugmentedPredictor
@@ -104,6 +105,7 @@ class NetworkDetector:
         threads: int | None = None,
         low_latency: bool = False,
         stages: StageSettings = ALL_STAGES,
+        require_compiled: bool = False,
     ) -> NetworkDetector:
         """Read a checkpoint file or folder.
 
@@ -123,9 +125,14 @@ class NetworkDetector:
             measures more frames per second.
         stages : StageSettings, optional
             Which stages of inference run.
+        require_compiled : bool, optional
+            Whether a network that should be compiled (it runs on a CPU, and `engine` is not "torch") and is not raises
+            an `EngineError`, so that it can be compiled. Otherwise torch takes its place where `engine` is "auto".
 
         Raises
         ------
+        EngineError
+            The compiled network is damaged, and `engine` names it; or `require_compiled`.
         CheckpointError
             The checkpoint cannot be read, or the engine or the device asked for is not there.
         """
@@ -134,19 +141,30 @@ class NetworkDetector:
         sha256 = file_sha256(file)
         device = _device(device if engine in ("auto", TORCH) else "cpu")
         record = None if device == "cuda" or engine == TORCH else engine_record(file, sha256)
+        if require_compiled and record is None and device == "cpu" and engine != TORCH:
+            raise EngineError(
+                f"{file}: expected a network compiled for this machine, got none", damaged=False
+            )
+        wanted, estimator = engine, None
         if engine == "auto":
             engine = (record.fastest if record else None) or TORCH
-        if engine == TORCH:
-            workers, estimator = 1, _torch_estimator(file, device, threads, stages)
-            threads = threads or cores()
-        else:
+        if engine != TORCH:
             if record is None or engine not in record.engines or not record.engines[engine].passed:
                 raise CheckpointError(_why_not(engine, record))
-            threads = threads or (min(cores(), LOW_LATENCY_CORES) if low_latency else cores())
-            workers = 1 if low_latency else threads
-            estimator = compiled_estimator(
-                file, engine, record.ends, workers, threads, metadata.candidates, stages
-            )
+            cores_used = threads or (min(cores(), LOW_LATENCY_CORES) if low_latency else cores())
+            workers = 1 if low_latency else cores_used
+            try:
+                estimator = compiled_estimator(
+                    file, engine, record, workers, cores_used, metadata.candidates, stages
+                )
+            except EngineError as error:
+                if wanted != "auto" or require_compiled:
+                    raise
+                warnings.warn(f"{error}; torch computes, which is slower", BendtrackWarning, stacklevel=2)
+                engine = TORCH
+        if estimator is None:
+            workers, estimator = 1, _torch_estimator(file, device, threads, stages)
+            cores_used = threads or cores()
         return cls(
             file.resolve().parent.name,
             metadata,
@@ -156,7 +174,7 @@ class NetworkDetector:
             engine=engine,
             device=device,
             workers=workers,
-            threads=threads,
+            threads=cores_used,
         )
 
     @staticmethod

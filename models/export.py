@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,13 +20,14 @@ import numpy as np
 from ..tracker.angle import bending_angle
 from ..tracker.atomic import atomic_path, atomic_write_text
 from ..tracker.errors import CheckpointError, reason
+from ..tracker.folder_lock import folder_lock
 from ..tracker.hashing import file_sha256
 from ..tracker.links import make_folder
 from ..tracker.types import Detections, ImageArray
 from .data.images import read_image_file
 from .data.synthetic import rendered_samples
 from .inference.coarse_to_fine import CoarseToFineEstimator, Predictor, concatenated
-from .inference.metadata import weights_file
+from .inference.metadata import read_metadata, weights_file
 from .inference.runtime import (
     END_REGRESSOR_FILE,
     ENGINES,
@@ -36,6 +38,8 @@ from .inference.runtime import (
     OpenVINOEndRegressor,
     OpenVINOPredictor,
     engine_folder,
+    engine_record,
+    is_whole,
     load_openvino,
 )
 from .networks.cascade import Cascade
@@ -60,9 +64,10 @@ RENDERED_FRAMES = 32
 
 
 def build_beside(path: Path) -> EngineRecord:
-    """Build the engines of a checkpoint from the frames that it was trained on.
+    """Build the engines of a checkpoint from the frames that it was trained on, unless they are there and whole.
 
-    They are a project's labelled frames, as far as they are still there; for a pretrained network, rendered ones.
+    They are a project's labelled frames, as far as they are still there; for a pretrained network, rendered ones. Of
+    two processes that come at once, one builds, and the other waits for it.
 
     Parameters
     ----------
@@ -80,15 +85,28 @@ def build_beside(path: Path) -> EngineRecord:
         The checkpoint cannot be read, or the engine cannot be written.
     """
     file = weights_file(path)
-    checkpoint = load_checkpoint(file)
+    folder = engine_folder(file)
+    try:
+        make_folder(folder, parents=False)
+    except OSError as error:
+        raise CheckpointError(f"{folder}: the engine cannot be written ({reason(error)})") from error
+    with folder_lock(folder, wait=True):
+        sha256 = file_sha256(file)
+        record = engine_record(file, sha256)
+        if record is None or not is_whole(file, record):
+            record = build(load_checkpoint(file), file, sha256, _frames_for(file))
+        return record
+
+
+def _frames_for(file: Path) -> list[ImageArray]:
+    """The frames that fit and judge the engines of a checkpoint's file."""
+    checkpoint = read_metadata(file)
     if checkpoint.pretrained:
         seed = checkpoint.training["settings"]["seed"]
-        frames = [sample.image for sample, _ in rendered_samples(seed, range(RENDERED_FRAMES))]
-    else:
-        labels = file.resolve().parent.parent.parent / "labeled-data"  # of models/<name>/weights.safetensors
-        known = [labels / name for name in checkpoint.training.get("trained_on", [])]
-        frames = [read_image_file(path) for path in known if path.is_file()]
-    return build(checkpoint, file, file_sha256(file), frames)
+        return [sample.image for sample, _ in rendered_samples(seed, range(RENDERED_FRAMES))]
+    labels = file.resolve().parent.parent.parent / "labeled-data"  # of models/<name>/weights.safetensors
+    known = [labels / name for name in checkpoint.training.get("trained_on", [])]
+    return [read_image_file(path) for path in known if path.is_file()]
 
 
 def build(
@@ -138,6 +156,7 @@ def build(
         regression_model = converted_end_regressor(network.aligner)
         regressor = OpenVINOEndRegressor(regression_model, network.aligner.pairs)
     checks: dict[str, EngineCheck] = {}
+    files: dict[str, str] = {}
     # Without labelled frames any image shows that a plain compilation computes what torch does.
     judge = judge or [np.random.default_rng(0).integers(0, 255, (480, 640, 3), dtype=np.uint8)]
     candidates = candidates_of_parts(checkpoint.candidates)
@@ -145,7 +164,7 @@ def build(
     try:
         make_folder(folder)
         if regressor:
-            _save(regression_model, folder / f"{END_REGRESSOR_FILE}.xml")
+            files |= _save(regression_model, folder / f"{END_REGRESSOR_FILE}.xml")
         for name, make in variants.items():
             with quiet_converters():
                 models = {part: with_decoding(make(part), candidates[part]) for part in PARTS}
@@ -163,7 +182,7 @@ def build(
             )
             if passed:
                 for part, model in models.items():
-                    _save(model, folder / f"{part}-{name}.xml")
+                    files |= _save(model, folder / f"{part}-{name}.xml")
         record = EngineRecord(
             checkpoint_sha256=sha256,
             openvino=openvino.__version__,
@@ -172,7 +191,9 @@ def build(
             ends=regressor.ends if regressor else (),
             engines=checks,
             skipped=skipped,
+            files=files,
         )
+        _make_way(folder / RECORD)
         atomic_write_text(folder / RECORD, json.dumps(record.to_dict(), indent=2) + "\n")
     except OSError as error:
         raise CheckpointError(f"{folder}: the engine cannot be written ({reason(error)})") from error
@@ -241,7 +262,25 @@ def _drift(found: Detections, expected: Detections, checkpoint: Checkpoint) -> t
     )
 
 
-def _save(model: Any, path: Path) -> None:
-    """Write a model's two files; the .xml last, since it is the one that is looked for."""
-    with atomic_path(path) as temporary, atomic_path(path.with_suffix(".bin")) as weights:
+def _save(model: Any, path: Path) -> dict[str, str]:
+    """Write a model's two files, and give the SHA-256 of each by its name."""
+    files = (path, path.with_suffix(".bin"))
+    for file in files:
+        _make_way(file)
+    with atomic_path(files[0]) as temporary, atomic_path(files[1]) as weights:
         load_openvino().serialize(model, temporary, weights)
+        return {
+            file.name: file_sha256(written) for file, written in zip(files, (temporary, weights), strict=True)
+        }
+
+
+def _make_way(path: Path) -> None:
+    """Remove a link or an empty folder that has the name of a file; a folder with something in it stays.
+
+    A link is not followed: what it points to is not an engine's file.
+    """
+    with suppress(OSError):
+        if path.is_symlink():
+            path.unlink()
+        else:
+            path.rmdir()

@@ -45,7 +45,7 @@ def write_figures(evaluation: Evaluation, rows: Sequence[dict[str, float]], fold
     list of Path
         The files written.
     """
-    make_folder(folder)
+    make_folder(folder, parents=False)
     figures = {"errors.png": _errors(evaluation), "worst-frames.png": _worst(evaluation)}
     if rows:
         figures["learning-curve.png"] = _learning_curve(rows)

@@ -19,6 +19,13 @@ SMALL = {
         "angle RMSE over label-noise floor",
     ),
     "frames.py": (["--looks", "1", "--seconds", "4", "--size", "200x150"], "largest gap: at most"),
+    "kills.py": (
+        [
+            *("--trials", "1", "--command", "export", "--command", "first-study", "--command", "label"),
+            *("--trouble", "killed", "--trouble", "full", "--trouble", "twice"),
+        ],
+        ", 0 wrong",
+    ),
     "label_server.py": (["--clicks", "4", "--large", "1"], "a click, saved"),
     "study.py": (
         ["--designs", "2", "--fast-only", "--rounds", "1", "--studies", "1"],

@@ -45,6 +45,18 @@ def test_every_import_is_a_declared_dependency() -> None:
     assert {INSTALLED_AS.get(module, module) for module in imported()} - declared == set()
 
 
+def test_the_versions_tested_with_are_allowed_and_all_there() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    lines = (ROOT / "requirements" / "constraints-tested.txt").read_text(encoding="utf-8").splitlines()
+    tested = dict(line.split("==") for line in lines if not line.startswith("#"))
+    for line in [*project["dependencies"], *project["optional-dependencies"]["test"]]:
+        name, lowest = line.split(">=")
+        version = tested[name.lower()]
+        assert [int(part) for part in version.split(".")[:3]] >= [int(part) for part in lowest.split(".")], (
+            line
+        )
+
+
 def test_tracking_alone_needs_all_but_what_trains() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     lines = (ROOT / "requirements" / "track-only.txt").read_text(encoding="utf-8").splitlines()

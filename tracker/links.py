@@ -69,13 +69,15 @@ def refuse_links(path: str | Path) -> None:
         )
 
 
-def make_folder(folder: str | Path) -> None:
-    """Make a folder with its parents, unless that would follow a link of a project.
+def make_folder(folder: str | Path, *, parents: bool = True, exist_ok: bool = True) -> None:
+    """Make a folder, unless that would follow a link of a project.
 
     Parameters
     ----------
     folder : str or Path
-        The folder; it may exist.
+        The folder.
+    parents, exist_ok : bool, optional
+        As `Path.mkdir`'s: whether its parents are made too, and whether it may exist.
 
     Raises
     ------
@@ -85,7 +87,7 @@ def make_folder(folder: str | Path) -> None:
         It cannot be made.
     """
     refuse_links(folder)
-    Path(folder).mkdir(parents=True, exist_ok=True)
+    Path(folder).mkdir(parents=parents, exist_ok=exist_ok)
 
 
 def open_own_file(path: str | Path, flags: int, mode: int = 0o600) -> int:

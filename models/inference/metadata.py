@@ -9,6 +9,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime, timedelta
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
@@ -21,6 +22,7 @@ from ...tracker.errors import BendtrackError, CheckpointError
 from ...tracker.types import BoolArray, Detections, FloatArray
 from .bias import correct_bias
 from .calibration import Calibration
+from .checksum import HEADER
 from .crops import CropGeometry
 from .roi import RegionOfInterest
 from .stages import ALL_STAGES, StageSettings
@@ -195,18 +197,8 @@ def read_metadata(path: Path, backbones: Sequence[str] = ()) -> CheckpointMetada
         It is missing, damaged, of another format, or not written by bendtrack.
     """
     path = weights_file(path)
-    if not path.is_file():
-        raise CheckpointError(
-            f"expected a trained network at {path}, got no such file; run `bendtrack train` first"
-        )
     with damage_reported(path):
-        with safe_open(path, "np") as file:
-            metadata = file.metadata() or {}
-        if "bendtrack" not in metadata:
-            raise CheckpointError(
-                f"{path}: expected a bendtrack checkpoint, got safetensors without its header"
-            )
-        header = json.loads(metadata["bendtrack"])
+        header = _header(path)
         if not OLDEST_FORMAT <= header["format"] <= FORMAT:
             remedy = "update bendtrack" if header["format"] > FORMAT else "train again"
             raise CheckpointError(
@@ -231,6 +223,62 @@ def read_metadata(path: Path, backbones: Sequence[str] = ()) -> CheckpointMetada
         )
 
 
+def trained_at(path: Path) -> datetime | None:
+    """When a network was trained, as it records itself; None for one from before this was recorded.
+
+    Parameters
+    ----------
+    path : Path
+        The checkpoint's file or folder.
+
+    Returns
+    -------
+    datetime or None
+        With its time zone.
+
+    Raises
+    ------
+    CheckpointError
+        The checkpoint is missing or cannot be read.
+    """
+    path = weights_file(path)
+    with damage_reported(path):
+        recorded = _header(path)["training"].get("trained_at")
+        if recorded is None:
+            return None
+        moment = datetime.fromisoformat(recorded)
+        if moment.tzinfo is None:
+            raise ValueError(f"trained_at: expected a time zone, got {recorded!r}")
+        return moment
+
+
+def later_than(latest: datetime | None) -> str:
+    """Now, in ISO 8601; where the clock stands at or before the latest time recorded so far, a microsecond after that.
+
+    So what is trained later is recorded as later, also after the clock was set back.
+    """
+    now = datetime.now(UTC)
+    if latest is not None and now <= latest:
+        now = latest + timedelta(microseconds=1)
+    return now.isoformat(timespec="microseconds")
+
+
+def _header(path: Path) -> dict[str, Any]:
+    """A checkpoint's own header, not yet interpreted."""
+    if not path.is_file():
+        raise CheckpointError(
+            f"expected a trained network at {path}, got no such file; run `bendtrack train` first"
+        )
+    with safe_open(path, "np") as file:
+        metadata = file.metadata() or {}
+    if HEADER not in metadata:
+        raise CheckpointError(f"{path}: expected a bendtrack checkpoint, got safetensors without its header")
+    header = json.loads(metadata[HEADER])
+    if not isinstance(header, dict):
+        raise TypeError(f"header: expected an object, got {type(header).__name__}")
+    return header
+
+
 def _kind(header: Mapping[str, Any]) -> Kind:
     """What a checkpoint was trained on; files from before it was recorded say it by what their training counts."""
     known = header.get("kind", "pretrained" if "pictures" in header["training"] else "project")
@@ -251,7 +299,16 @@ def damage_reported(path: Path) -> Iterator[None]:
         yield
     except BendtrackError:
         raise
-    except (SafetensorError, OSError, RuntimeError, KeyError, TypeError, ValueError) as error:
+    except (
+        SafetensorError,
+        OSError,
+        RuntimeError,
+        LookupError,
+        TypeError,
+        ValueError,
+        AttributeError,
+        OverflowError,
+    ) as error:
         reason = (str(error) or type(error).__name__).splitlines()[0]
         raise CheckpointError(
             f"{path}: expected a bendtrack checkpoint, got a damaged file ({reason})"

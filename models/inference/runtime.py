@@ -1,10 +1,12 @@
 """Compiled networks at work: OpenVINO models as `Predictor`s and `EndRegressor`s, read from files. Imports no torch.
 
-How the files are made, and how far an engine may differ from float32, is in `export.py`.
+A file computes only if its SHA-256 is the one that was recorded when it was built. How the files are made, and how far
+an engine may differ from float32, is in `export.py`.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import sys
 import threading
@@ -16,6 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from ...tracker.errors import CheckpointError, reason
+from ...tracker.hashing import file_sha256
 from ...tracker.types import Detections, FloatArray, ImageArray
 from .coarse_to_fine import CoarseToFineEstimator
 from .stages import ALL_STAGES, StageSettings
@@ -28,7 +32,21 @@ END_REGRESSOR_FILE = "aligner"
 """Name of the file of every engine that has an end regressor, which computes in float32."""
 
 RECORD = "engine.json"
-FORMAT = 5
+FORMAT = 6
+
+
+class EngineError(CheckpointError):
+    """A compiled network is damaged, or there is none from this checkpoint and this version of OpenVINO.
+
+    Attributes
+    ----------
+    damaged : bool
+        Whether there is one that is not what was built.
+    """
+
+    def __init__(self, message: str, *, damaged: bool = True) -> None:
+        super().__init__(message)
+        self.damaged = damaged
 
 
 @dataclass(frozen=True)
@@ -67,6 +85,8 @@ class EngineRecord:
         The engines that were tried.
     skipped : mapping of str to str
         The engines that were not tried, and why.
+    files : mapping of str to str
+        SHA-256 of each file of the engines that passed, by its name.
     """
 
     checkpoint_sha256: str
@@ -76,6 +96,7 @@ class EngineRecord:
     ends: tuple[tuple[int, int], ...]
     engines: Mapping[str, EngineCheck]
     skipped: Mapping[str, str] = field(default_factory=dict)
+    files: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def fastest(self) -> str | None:
@@ -84,8 +105,9 @@ class EngineRecord:
         return min(passed, key=lambda name: passed[name].cpu_ms, default=None)
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready, and read back by `from_dict`."""
-        return {"format": FORMAT, **asdict(self), "ends": [list(end) for end in self.ends]}
+        """JSON-ready with a checksum over all of it, and read back by `from_dict`."""
+        values = {"format": FORMAT, **asdict(self), "ends": [list(end) for end in self.ends]}
+        return {**values, "sha256": _checksum(values)}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> EngineRecord:
@@ -98,7 +120,12 @@ class EngineRecord:
             tuple((int(first), int(second)) for first, second in values["ends"]),
             {name: EngineCheck(**check) for name, check in values["engines"].items()},
             dict(values.get("skipped", {})),
+            dict(values.get("files", {})),
         )
+
+
+def _checksum(values: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 
 def load_openvino() -> ModuleType:
@@ -120,8 +147,7 @@ class _CompiledModel:
 
     Parameters
     ----------
-    model : openvino.Model or Path
-        The model, or the path of its .xml.
+    model : openvino.Model
     workers : int
         Threads that may call it at once.
     threads : int
@@ -136,8 +162,7 @@ class _CompiledModel:
             "INFERENCE_NUM_THREADS": threads,
             "INFERENCE_PRECISION_HINT": "f32",
         }
-        source = str(model) if isinstance(model, Path) else model
-        self._model = load_openvino().Core().compile_model(source, "CPU", config)
+        self._model = load_openvino().Core().compile_model(model, "CPU", config)
         self._own = threading.local()
 
     def _outputs(self, images: ImageArray) -> list[FloatArray]:
@@ -183,21 +208,42 @@ def engine_folder(checkpoint_file: Path) -> Path:
 
 
 def engine_record(checkpoint_file: Path, sha256: str) -> EngineRecord | None:
-    """The record of the engines next to a checkpoint; None where there are none, or those of another checkpoint."""
+    """The record of the engines next to a checkpoint; None where it is missing, damaged or of another checkpoint."""
     try:
         values = json.loads((engine_folder(checkpoint_file) / RECORD).read_text(encoding="utf-8"))
         built_for = (values["format"], values["checkpoint_sha256"], values["openvino"])
         if built_for != (FORMAT, sha256, load_openvino().__version__):
             return None
+        if values.pop("sha256") != _checksum(values):
+            return None
         return EngineRecord.from_dict(values)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
+
+
+def built_from(checkpoint_file: Path) -> str | None:
+    """SHA-256 of the checkpoint that the engines next to it were built from, whoever built them; None if unknown."""
+    try:
+        values = json.loads((engine_folder(checkpoint_file) / RECORD).read_text(encoding="utf-8"))
+        known = values["checkpoint_sha256"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return None
+    return known if isinstance(known, str) else None
+
+
+def is_whole(checkpoint_file: Path, record: EngineRecord) -> bool:
+    """Whether every file that a record names is there and unchanged."""
+    folder = engine_folder(checkpoint_file)
+    try:
+        return all(file_sha256(folder / name) == sha256 for name, sha256 in record.files.items())
+    except OSError:
+        return False
 
 
 def compiled_estimator(
     checkpoint_file: Path,
     engine: str,
-    ends: Sequence[Sequence[int]],
+    record: EngineRecord,
     workers: int = 1,
     threads: int = 1,
     candidates: int = 1,
@@ -210,18 +256,55 @@ def compiled_estimator(
     checkpoint_file : Path
     engine : str
         One of `ENGINES`.
-    ends, candidates
-        Those that the engine was built with.
+    record : EngineRecord
+        Of the engines next to the checkpoint.
     workers, threads : int
         As `_CompiledModel`.
+    candidates : int
+        Candidate peaks that the engine was built with.
     stages : StageSettings, optional
         Which stages run.
+
+    Returns
+    -------
+    CoarseToFineEstimator
+
+    Raises
+    ------
+    EngineError
+        A file is missing, or is not the one that was recorded.
     """
     folder = engine_folder(checkpoint_file)
     locator, refiner = (
-        OpenVINOPredictor(folder / f"{part}-{engine}.xml", workers, threads) for part in PARTS
+        OpenVINOPredictor(_read_model(folder, f"{part}-{engine}", record), workers, threads) for part in PARTS
     )
     regressor = None
-    if ends:
-        regressor = OpenVINOEndRegressor(folder / f"{END_REGRESSOR_FILE}.xml", ends, workers, threads)
+    if record.ends:
+        model = _read_model(folder, END_REGRESSOR_FILE, record)
+        regressor = OpenVINOEndRegressor(model, record.ends, workers, threads)
     return CoarseToFineEstimator(locator, refiner, candidates, regressor, stages)
+
+
+def _read_model(folder: Path, name: str, record: EngineRecord) -> Any:
+    """An OpenVINO model from its two files, read once: the bytes that were hashed are those that compute."""
+    model, weights = (_recorded_bytes(folder / f"{name}{suffix}", record) for suffix in (".xml", ".bin"))
+    try:
+        return load_openvino().Core().read_model(model, weights)
+    except RuntimeError as error:
+        raise EngineError(
+            f"{folder / name}.xml: expected a compiled network, got one that does not load"
+        ) from error
+
+
+def _recorded_bytes(path: Path, record: EngineRecord) -> bytes:
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise EngineError(
+            f"{path}: expected a compiled network, got no file to read ({reason(error)})"
+        ) from error
+    if hashlib.sha256(data).hexdigest() != record.files.get(path.name):
+        raise EngineError(
+            f"{path}: expected the compiled network that was built, got a damaged or foreign file"
+        )
+    return data

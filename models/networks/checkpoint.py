@@ -11,7 +11,6 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 import torch
-from safetensors.torch import load_file
 
 from ...tracker.atomic import atomic_write_text
 from ...tracker.links import make_folder
@@ -26,7 +25,7 @@ from ..inference.metadata import (
 from .cascade import Cascade
 from .end_regressor import EndRegressionNetwork
 from .heatmap_network import BACKBONES
-from .tensor_files import write_tensors
+from .tensor_files import read_tensors, write_tensors
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,12 +102,12 @@ def load_checkpoint(path: Path) -> Checkpoint:
     Raises
     ------
     CheckpointError
-        It is missing, damaged, of another format, or not ours.
+        It is missing, damaged (its checksum differs), of another format, or not ours.
     """
     path = weights_file(path)
     metadata = read_metadata(path, tuple(BACKBONES))
     with damage_reported(path):
-        weights = load_file(path)
+        weights = read_tensors(path)
         # Networks of earlier versions have fewer stages.
         stages = [
             sum(name.startswith(f"{part}.lateral.") for name in weights) for part in ("locator", "refiner")

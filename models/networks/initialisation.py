@@ -14,12 +14,13 @@ from pickle import UnpicklingError
 from typing import Any
 
 import torch
-from safetensors import SafetensorError
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file
 from torch import Tensor
 from torchvision.models import ResNet18_Weights, ResNet34_Weights, ResNet50_Weights
 
 from ...tracker.errors import WeightsError
+from ..inference.checksum import HEADER, check_checksum
 from .cascade import Cascade
 from .heatmap_network import HeatmapNetwork
 from .shipped import actuator_file
@@ -91,6 +92,8 @@ def starting_weights(init: str, backbone: str) -> dict[str, Tensor] | None:
     ------
     WeightsError
         The file is missing, damaged or holds no weights, or the download fails.
+    CheckpointError
+        It is a network of ours, and damaged.
     """
     if init == "random":
         return None
@@ -171,6 +174,11 @@ def _read(path: Path) -> dict[str, Tensor]:
             f"--init: expected auto, actuator, imagenet, random or a weights file, got {path} (no such file)"
         )
     try:
+        if path.suffix == ".safetensors":
+            with safe_open(path, "pt") as file:
+                own_network = HEADER in (file.metadata() or {})
+            if own_network:
+                check_checksum(path)
         state: Any = (
             load_file(path)
             if path.suffix == ".safetensors"

@@ -13,6 +13,7 @@ from platformdirs import user_cache_path
 from ...tracker.atomic import atomic_path
 from ...tracker.errors import BendtrackError, WeightsError, reason
 from ...tracker.hashing import file_sha256
+from ..inference.checksum import check_checksum
 from ..inference.metadata import WEIGHTS_FILE
 
 WEIGHTS = Path(__file__).parent.parent / "weights"
@@ -61,16 +62,25 @@ def working_copy(backbone: str) -> Path:
     ------
     WeightsError
         No network with this backbone is shipped.
+    DamagedFileError
+        The shipped file is damaged.
     BendtrackError
         The cache folder cannot be written.
+
+    Notes
+    -----
+    A copy that is damaged is replaced.
     """
     file = shipped_network(backbone)
-    folder = user_cache_path("bendtrack") / file_sha256(file)[:16] / file.parent.name
-    if not (folder / WEIGHTS_FILE).is_file():
+    sha256 = file_sha256(file)
+    folder = user_cache_path("bendtrack") / sha256[:16] / file.parent.name
+    copy = folder / WEIGHTS_FILE
+    if not copy.is_file() or file_sha256(copy) != sha256:
+        check_checksum(file)
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            with atomic_path(folder / WEIGHTS_FILE) as copy:
-                shutil.copyfile(file, copy)
+            with atomic_path(copy) as temporary:
+                shutil.copyfile(file, temporary)
         except OSError as error:
             raise BendtrackError(
                 f"expected a cache folder that can be written, got {folder} ({reason(error)}); XDG_CACHE_HOME names"

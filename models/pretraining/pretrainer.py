@@ -42,6 +42,7 @@ from ..data.synthetic import (
 from ..inference.calibration import Calibration, reference_peaks, typical_scale
 from ..inference.coarse_to_fine import concatenated
 from ..inference.crops import CropGeometry
+from ..inference.metadata import later_than
 from ..inference.roi import RegionOfInterest
 from ..networks.cascade import Cascade
 from ..networks.checkpoint import Checkpoint, best_device
@@ -355,6 +356,7 @@ class _Pretrainer:
                 "pictures": self.settings.batch + self.step * self.settings.pictures,
                 "minutes": round(self.elapsed_s / 60, 2),
                 "judged": self.rows[-1],
+                "trained_at": later_than(None),
             },
         )
 

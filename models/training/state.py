@@ -15,12 +15,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file
 from torch import Tensor
 
 from ...tracker.atomic import atomic_write_text
-from ...tracker.errors import TrainingError
-from ..networks.tensor_files import write_tensors
+from ...tracker.errors import CheckpointError, TrainingError
+from ..networks.tensor_files import read_tensors, write_tensors
 from .optimisation import NetworkOptimiser
 from .schedule import Schedule
 
@@ -128,19 +127,35 @@ def load_state(path: Path, optimisers: Mapping[str, NetworkOptimiser], identity:
     try:
         with safe_open(path, "pt") as file:
             header: dict[str, Any] = json.loads(file.metadata()["bendtrack"])
-        tensors = load_file(path)
-    except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
-        raise TrainingError(f"--resume: expected a training state in {path}, got a damaged file") from error
-    if header.get("format") != FORMAT:
+        tensors = read_tensors(path)
+    except (CheckpointError, SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
         raise TrainingError(
-            f"--resume: expected a training state of format {FORMAT}, got {header.get('format')},"
+            f"--resume: expected a training state in {path}, got a damaged file; train again without --resume"
+        ) from error
+    if not isinstance(header, dict) or header.get("format") != FORMAT:
+        found = header.get("format") if isinstance(header, dict) else None
+        raise TrainingError(
+            f"--resume: expected a training state of format {FORMAT}, got {found},"
             " of another version of bendtrack; train again without --resume"
         )
-    if header["identity"] != identity:
+    if header.get("identity") != identity:
         raise TrainingError(
             "--resume: expected the settings and labels that the training was started with, got others;"
             " train again without --resume"
         )
+    try:
+        return _loaded(header, tensors, optimisers)
+    except (RuntimeError, LookupError, TypeError, ValueError) as error:
+        raise TrainingError(
+            f"--resume: expected a training state in {path}, got one whose contents do not fit this network;"
+            " train again without --resume"
+        ) from error
+
+
+def _loaded(
+    header: Mapping[str, Any], tensors: dict[str, Tensor], optimisers: Mapping[str, NetworkOptimiser]
+) -> TrainingState:
+    """Load weights and moments into the networks and optimisers, and give the rest."""
     for part, optimiser in optimisers.items():
         own = _under(f"{part}.", tensors)
         optimiser.network.load_state_dict(_under("network.", own))
@@ -155,7 +170,7 @@ def load_state(path: Path, optimisers: Mapping[str, NetworkOptimiser], identity:
             moments.setdefault(int(index), {})[key] = laid_out
         optimiser.optimizer.load_state_dict({**optimiser.optimizer.state_dict(), "state": moments})
     return TrainingState(
-        identity=identity,
+        identity=header["identity"],
         step=header["step"],
         elapsed_s=header["elapsed_s"],
         schedule=Schedule(**header["schedule"]),

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,7 @@ from ..inference.bias import correct_bias
 from ..inference.calibration import calibrate
 from ..inference.coarse_to_fine import concatenated
 from ..inference.crops import CropGeometry
+from ..inference.metadata import later_than
 from ..inference.roi import reference_distances
 from ..networks.cascade import Cascade
 from ..networks.checkpoint import Checkpoint, best_device
@@ -99,6 +101,7 @@ def train(
     *,
     resume: bool = False,
     started_s: float | None = None,
+    latest: datetime | None = None,
     progress: Callable[[Progress], None] | None = None,
     evaluate_every: int = EVALUATE_EVERY,
 ) -> Checkpoint:
@@ -120,6 +123,8 @@ def train(
     started_s : float, optional
         `time.monotonic()` from which `settings.max_minutes` count, the end of training included. Default: now. In a
         resumed training, the time that was used before counts too.
+    latest : datetime, optional
+        When the newest network next to this one was trained: the time that the checkpoint records is later than it.
     progress : callable, optional
         Called after each step.
     evaluate_every : int
@@ -144,12 +149,30 @@ def train(
     started_s = time.monotonic() if started_s is None else started_s
     settings = settings or TrainingSettings()
     data = load_training_data(frames, keypoints, settings)
+    make_folder(folder)
     trainer = _Trainer(data, definition, Path(folder), settings, evaluate_every, resume=resume)
     trainer.run(started_s, progress)
     checkpoint = trainer.finish()
+    checkpoint = replace(checkpoint, training={**checkpoint.training, "trained_at": later_than(latest)})
+    check_still_there(Path(folder))
     checkpoint.save(Path(folder))
     trainer.state_file.unlink(missing_ok=True)
     return checkpoint
+
+
+def check_still_there(folder: Path) -> None:
+    """Check that the folder that a training began in was not renamed or moved: nothing is written under its old name.
+
+    Raises
+    ------
+    TrainingError
+        It is gone.
+    """
+    if not folder.is_dir():
+        raise TrainingError(
+            f"{folder}: expected the folder that the training began in, got none; if it was renamed, train there"
+            " with --resume, which goes on from the state saved last"
+        )
 
 
 class _Trainer:
@@ -390,7 +413,7 @@ class _Trainer:
 
     def save_state(self) -> None:
         """Write all that a resumed training needs, and training.csv, each whole or not at all."""
-        make_folder(self.folder)
+        check_still_there(self.folder)
         save_state(self.state_file, self.state, self.networks.optimisers)
         if self.state.rows:  # none before the first evaluation
             write_rows(self.folder, self.state.rows)

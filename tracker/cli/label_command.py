@@ -95,9 +95,10 @@ def _network(project: Project, name: str | None) -> Network | None:
         return None
     from ... import model_folders
     from ...labeling.predictions import Network
+    from .reporter import ConsoleReporter
 
     try:
-        folder = model_folders.chosen(project, name)
+        folder = model_folders.chosen(project, name, ConsoleReporter())
     except CheckpointError:
         if name is not None:
             raise

@@ -134,7 +134,12 @@ def live(
     mode = _camera_mode(size, rate, camera_format)
     target = None if udp is None else UdpTarget(udp)
     network = load_network(
-        model_folders.chosen(folder, model), engine, device, threads, low_latency=True, reporter=reporter
+        model_folders.chosen(folder, model, reporter),
+        engine,
+        device,
+        threads,
+        low_latency=True,
+        reporter=reporter,
     )
     definition = measured_angle(folder, network, reporter)
     options: dict[str, Any] = {}

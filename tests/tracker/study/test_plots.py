@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import resource
 import subprocess
 import sys
 
@@ -364,3 +365,20 @@ def test_file_names_are_safe_and_distinct():
     for stem in found.values():
         assert re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", stem)
         assert len(stem) < 100
+
+
+@pytest.mark.parametrize("room", [0, 1000, 6000])
+def test_a_figure_on_a_full_disk_is_one_line(tmp_path, room: int) -> None:
+    figure = mpl.figure.Figure(figsize=(2, 2))
+    figure.subplots().plot([0, 1], [0, 1])
+    save_figure(figure, tmp_path / "figure")  # which also finds the fonts
+    for path in tmp_path.iterdir():
+        path.unlink()
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, limits[1]))
+    try:
+        with pytest.raises(ResultsError, match=r"figure\.pdf: cannot be written \(File too large\)"):
+            save_figure(figure, tmp_path / "figure")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert not list(tmp_path.iterdir())

@@ -9,6 +9,7 @@ import math
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -128,9 +129,12 @@ def save_figure(figure: Figure, stem: str | Path) -> Image.Image:
             # Solved once for both files.
             layout.execute(figure)
             figure.set_layout_engine(None)
+        # Into memory first: on a full disk Matplotlib's own writer ends with an error of its own. No date: the same
+        # study gives the same files, byte for byte.
+        pages = BytesIO()
+        figure.savefig(pages, format="pdf", metadata={"CreationDate": None})
         with _written(stem.with_name(f"{stem.name}.pdf")) as path:
-            # No date: the same study gives the same files, byte for byte.
-            figure.savefig(path, format="pdf", metadata={"CreationDate": None})
+            path.write_bytes(pages.getvalue())
         canvas = FigureCanvasAgg(figure)
         own_dpi, figure.dpi = figure.dpi, DPI
         canvas.draw()
