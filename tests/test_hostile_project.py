@@ -267,6 +267,8 @@ OTHER_WRITERS = {
     ("tracker/atomic.py", "write_text"): "into a temporary file of its own",
     ("tracker/atomic.py", "write_bytes"): "into a temporary file of its own",
     ("tracker/links.py", "os.open"): "the rule",
+    ("tracker/folder_lock.py", "os.open"): "a folder, for reading",
+    ("tracker/study/plots/page.py", "write_bytes"): "a temporary file of atomic_path",
     ("tracker/links.py", "mkdir"): "the rule",
     ("tracker/video_writer.py", "touch"): "a temporary file of atomic_path",
     ("tracker/batch.py", "write_bytes"): "a new name at random, behind make_folder",
