@@ -63,7 +63,6 @@ WITH_LABELS = (
 WITHOUT_LABELS = (
     "end_regression",
     "backward_pass",
-    "flip_augmentation",
     "self_training",
     "edge_orientation",
 )

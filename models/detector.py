@@ -24,7 +24,6 @@ from .inference.metadata import CheckpointMetadata, read_metadata, weights_file
 from .inference.runtime import ENGINES, EngineError, EngineRecord, compiled_estimator, engine_record
 from .inference.stages import ALL_STAGES, StageSettings
 from .inference.tracking import KeypointTracker
-from .inference.tta import FlipAugmentedPredictor
 from .localization.localize import find_actuator
 
 TORCH = "torch"
@@ -253,8 +252,6 @@ class NetworkDetector:
             No actuator can be seen.
         """
         estimator = self._estimator
-        if self.stages.flip_augmentation:
-            estimator = replace(estimator, refiner=FlipAugmentedPredictor(estimator.refiner))
         fit_ends = fit_network = None
         if self.metadata.pretrained:
             from .adaptation.adapt import VideoAdaptation

@@ -28,7 +28,6 @@ LANES = [
             ("II", "Chain assembly", "dynamic programming"),
             ("III", "Edge orientation", "from its two sides"),
             ("IV", "Self-training", "where it is not sure"),
-            ("V", "Flip averaging", "both mirror images"),
         ],
     ),
     (

@@ -15,11 +15,11 @@ from ...tracker.types import BoolArray, FloatArray, ImageArray
 from ..data.prepared import PreparedFrame
 from ..inference.coarse_to_fine import CoarseToFineEstimator, concatenated
 from ..inference.crops import CropGeometry
-from ..inference.tta import FlipAugmentedPredictor
 from ..networks.end_regressor import EndRegressionNetwork
 from ..networks.heatmap_network import FirstStage
 from .end_regression import fit_end_regression
 from .geometry import FrameGeometry
+from .mirroring import MirroredPredictor
 from .registration import register_ends
 from .robust_fit import denoised_positions
 
@@ -80,8 +80,8 @@ class TargetDenoiser:
         labelled: BoolArray = np.logical_not(np.isnan(labels).any(axis=2))
         both = labelled & labelled[:, list(self.reference)] & known
         near = np.where(both[..., None], labels, np.nan)
-        # The shipped network was pretrained with mirrored images, so flip augmentation is valid for it.
-        estimator = replace(estimator, refiner=FlipAugmentedPredictor(estimator.refiner))
+        # The shipped network was pretrained with mirrored images, so it knows both mirror images.
+        estimator = replace(estimator, refiner=MirroredPredictor(estimator.refiner))
         found = [
             estimator.refine(image[None], own[None], CropGeometry(frame.region, tuple(self.reference)))
             for image, own, frame in zip(self.images, near, self.frames, strict=True)

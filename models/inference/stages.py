@@ -29,8 +29,6 @@ class StageSettings:
         A keypoint too near to its reference keypoint or too far from it gets likelihood 0.
     bias_correction : bool
         The network's systematic bias against the labels is subtracted.
-    flip_augmentation : bool
-        Without labels: average each crop with its mirror image (test-time augmentation).
     self_training : bool
         Without labels: fit the network to the video first where it is not sure everywhere.
     edge_orientation : bool
@@ -45,7 +43,6 @@ class StageSettings:
     backward_pass: bool = True
     distance_check: bool = True
     bias_correction: bool = True
-    flip_augmentation: bool = True
     self_training: bool = True
     edge_orientation: bool = True
 

@@ -10,13 +10,12 @@ import pytest
 from bendtrack.models import detector as detector_module
 from bendtrack.models.detector import NetworkDetector
 from bendtrack.models.inference.stages import StageSettings
-from bendtrack.models.inference.tta import FlipAugmentedPredictor
 from bendtrack.models.networks.checkpoint import Checkpoint
 from bendtrack.models.networks.shipped import shipped_network
 from bendtrack.tracker.errors import VideoError
 
 
-@pytest.mark.parametrize("off", [None, "flip_augmentation", "end_regression", "self_training"])
+@pytest.mark.parametrize("off", [None, "end_regression", "self_training"])
 def test_stages_without_labels(off: str | None, shipped: Checkpoint, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each stage is handed to `find_actuator` unless it is off."""
     handed: list[object] = []
@@ -37,7 +36,6 @@ def test_stages_without_labels(off: str | None, shipped: Checkpoint, monkeypatch
     with pytest.raises(VideoError):
         detector.for_video(np.zeros((2, 48, 64, 3), np.uint8))
     own, fit_ends, fit_network = handed
-    assert isinstance(own.refiner, FlipAugmentedPredictor) == (off != "flip_augmentation")
     assert (fit_ends is None) == (off == "end_regression")
     assert (fit_network is None) == (off == "self_training")
     assert own.stages == stages

@@ -1,10 +1,10 @@
-"""Flip test-time augmentation: errors to one side cancel, and of two distant predictions the likelier is taken."""
+"""Mirrored prediction: errors to one side cancel, and of two distant predictions the likelier is taken."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from bendtrack.models.inference.tta import FlipAugmentedPredictor, average_predictions
+from bendtrack.models.denoising.mirroring import MirroredPredictor, average_predictions
 from bendtrack.tracker.types import Detections, ImageArray
 
 
@@ -30,15 +30,13 @@ def image_of(x: int, y: int, top: int = 255, bottom: int = 255) -> ImageArray:
 
 
 def test_errors_to_one_side_cancel() -> None:
-    found = FlipAugmentedPredictor(BrightestPredictor(1.5))(
-        np.concatenate([image_of(20, 30), image_of(40, 5)])
-    )
+    found = MirroredPredictor(BrightestPredictor(1.5))(np.concatenate([image_of(20, 30), image_of(40, 5)]))
     np.testing.assert_allclose(found.xy[:, 0], [(20, 30), (40, 5)])
     np.testing.assert_allclose(found.covariance[0, 0], [[4, 0], [0, 2]])
 
 
 def test_of_two_distant_predictions_the_likelier_is_taken() -> None:
-    predictor = FlipAugmentedPredictor(BrightestPredictor(10.0))
+    predictor = MirroredPredictor(BrightestPredictor(10.0))
     for top, bottom, y in ((250, 50, 40), (50, 250, 20)):
         found = predictor(image_of(20, 30, top, bottom))
         np.testing.assert_allclose(found.xy[0, 0], (20, y))

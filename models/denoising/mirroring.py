@@ -1,7 +1,7 @@
-"""Flip test-time augmentation: each crop is predicted as it is and mirrored, and both predictions are averaged.
+"""Mirrored prediction: each crop is predicted as it is and mirrored, and both predictions are averaged.
 
-For networks pretrained on mirrored images, in videos without labels. Both sides of an actuator look alike to such a
-network, so errors that depend on the side cancel. On rendered actuators the ends' directions are off by a fifth less.
+For networks pretrained on mirrored images, at the first guess of what to train on. Both sides of an actuator look alike
+to such a network, so errors that depend on the side cancel.
 """
 
 from __future__ import annotations
@@ -9,13 +9,13 @@ from __future__ import annotations
 import numpy as np
 
 from ...tracker.types import Detections, ImageArray
-from .coarse_to_fine import Predictor
+from ..inference.coarse_to_fine import Predictor
 
 AGREEMENT_CROP_PX = 8.0
 """Two predictions further apart, in crop px, are not of the same thing: the likelier one is taken, not the mean."""
 
 
-class FlipAugmentedPredictor:
+class MirroredPredictor:
     """A predictor that averages another one over both mirror images of a square, upright crop.
 
     Parameters
