@@ -26,7 +26,8 @@ NOISE_LEVELS = 2.0
 """Least difference in grey levels that noise and compression make."""
 
 BLUR_PX = 0.25
-"""Shift of an edge that focus, compression and what is left of a shake make, px of the small frames."""
+"""Shift of an edge that focus, compression and what is left of a shake make, px of the small frames. Together with the
+next two: what moves by less than 0.75 px does not count, what moves by more than 1.5 px does."""
 
 CERTAIN, POSSIBLE = 6.0, 3.0
 """Differences in units of what noise makes: from the first on motion is certain, up to the second there is none."""
@@ -41,8 +42,14 @@ LEAST_AREA = 5e-4
 NEAR_PX = 3
 """A keypoint this near to what moves belongs to it, px of the small frames: ends lie on the body's outline."""
 
-MAX_SHAKE_PX = 12.0
-"""Largest shift of a whole frame against the others that is taken out, px of the small frames."""
+MIN_SHAKE_PX, MAX_SHAKE_PX = 0.4, 12.0
+"""Range of shifts of a whole frame against the others that are taken out, px of the small frames."""
+
+STEADIER, STRONG_EDGES = 0.8, 0.95
+"""A shift is taken out where the median difference at edges above this quantile falls to less than this share."""
+
+EDGE_PX, STRONGEST_EDGE = 1.0, 20.0
+"""Smoothing before edges are compared, px, and the strength above which all count alike, grey levels per px."""
 
 
 @dataclass(frozen=True)
@@ -57,11 +64,14 @@ class MotionEvidence:
         In [0, 1]: the place differs in a tenth of the frames at least, though perhaps not in this one.
     scale : float
         Small frames' px per px of the video.
+    shake_px : ndarray of float, shape (N, 2)
+        Shift of each whole frame that was taken out, px of the small frames.
     """
 
     moving: FloatArray
     recurring: FloatArray
     scale: float
+    shake_px: FloatArray
 
     @property
     def is_known(self) -> bool:
@@ -77,7 +87,8 @@ class MotionEvidence:
         if not self.is_known:
             return np.ones(xy.shape[:-1])
         h, w = self.recurring.shape
-        place = np.nan_to_num((xy + 0.5) * self.scale - 0.5)
+        shake = self.shake_px.reshape(-1, *[1] * (xy.ndim - 2), 2)
+        place = np.nan_to_num((xy + 0.5) * self.scale - 0.5 - shake)
         column = np.clip(np.rint(place[..., 0]).astype(int), 0, w - 1)
         row = np.clip(np.rint(place[..., 1]).astype(int), 0, h - 1)
         frame = np.arange(len(xy)).reshape(-1, *[1] * (xy.ndim - 2))
@@ -88,8 +99,8 @@ def motion_evidence(probe_frames: Frames) -> MotionEvidence:
     """Find what moves in frames spread over a video.
 
     The background is the temporal median. A window differs where no factor of light makes the background's window into
-    the frame's; so shadows, a drift of the exposure and a lamp that is switched on do not count, nor does a shake of the
-    whole picture, which is taken out first.
+    the frame's; so shadows, a drift of the exposure and a lamp that is switched on do not count. A shake of the whole
+    picture is taken out first.
 
     Parameters
     ----------
@@ -100,9 +111,9 @@ def motion_evidence(probe_frames: Frames) -> MotionEvidence:
     scale = min(1.0, SIDE_PX / max(h, w))
     size = (max(1, round(w * scale)), max(1, round(h * scale)))
     small = np.stack([cv2.resize(frame, size, interpolation=cv2.INTER_AREA) for frame in probe_frames])
-    images = _without_shake(small.astype(np.float32))
+    images, shake_px = _without_shake(small.astype(np.float32))
     background = np.median(images, axis=0).astype(np.float32)
-    slope = cv2.GaussianBlur(_slope(background), (0, 0), WINDOW_PX)
+    slope = np.sqrt(cv2.GaussianBlur(_slope(background) ** 2, (0, 0), WINDOW_PX))
     near = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * NEAR_PX + 1,) * 2)
     moving = np.stack([cv2.dilate(_difference(image, background, slope), near) for image in images])
     # The k-th largest of N.
@@ -110,7 +121,7 @@ def motion_evidence(probe_frames: Frames) -> MotionEvidence:
     recurring = (
         np.partition(moving, len(images) - k, axis=0)[len(images) - k] if k <= len(images) else 0 * slope
     )
-    return MotionEvidence(moving, recurring, scale)
+    return MotionEvidence(moving, recurring, scale, shake_px)
 
 
 def _difference(image: FloatArray, background: FloatArray, slope: FloatArray) -> FloatArray:
@@ -134,20 +145,52 @@ def _slope(image: FloatArray) -> FloatArray:
     return np.sqrt(rows**2 + columns**2).mean(axis=2).astype(np.float32)
 
 
-def _without_shake(images: FloatArray) -> FloatArray:
-    """Images (N, h, w, 3) shifted onto their median: what is left of a shake is below half a px."""
-    h, w = images.shape[1:3]
+def _without_shake(images: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Images (N, h, w, 3) shifted onto each other where the whole picture shakes, and how it does, (N, 2) px."""
+    shift = np.zeros((len(images), 2))
+    shifted = images
+    # The median of a film that shakes is blurred: its least unusual frame is the first reference.
+    edges = np.stack([_edges(image) for image in images])
+    reference = edges[int(np.abs(edges - np.median(edges, axis=0)).sum(axis=(1, 2)).argmin())]
+    for _ in range(2):
+        shift = np.stack([_shake_px(image, reference) for image in images])
+        if not shift.any():
+            return images, shift
+        shifted = np.stack([_moved(image, -own) for image, own in zip(images, shift, strict=True)])
+        reference = _edges(np.median(shifted, axis=0).astype(np.float32))
+    return shifted, shift
+
+
+def _shake_px(image: FloatArray, reference: FloatArray) -> FloatArray:
+    """Shift (2,) px of a whole image (h, w, 3) against a reference's edges (h, w); zero where it does not shake."""
+    h, w = reference.shape
+    # OpenCV multiplies by the window in place where the size needs no padding.
     window = cv2.createHanningWindow((w, h), cv2.CV_32F)
-    reference = _edges(np.median(images, axis=0))
-    shifted = images.copy()
-    for i, image in enumerate(images):
-        (dx, dy), response = cv2.phaseCorrelate(reference, _edges(image), window)
-        if response > 0.1 and 0.25 < float(np.hypot(dx, dy)) <= MAX_SHAKE_PX:
-            matrix = np.array([[1.0, 0.0, -dx], [0.0, 1.0, -dy]])
-            shifted[i] = cv2.warpAffine(image, matrix, (w, h), borderMode=cv2.BORDER_REPLICATE)
-    return shifted
+    found, _ = cv2.phaseCorrelate(reference.copy(), _edges(image), window)
+    if not MIN_SHAKE_PX < float(np.hypot(*found)) <= MAX_SHAKE_PX:
+        return np.zeros(2)
+    # A body that moves is not a shake: what lies about must fit, that is, most of the picture.
+    before = _edge_difference(image, reference)
+    after = _edge_difference(_moved(image, -np.array(found)), reference)
+    return np.array(found) if after < STEADIER * before else np.zeros(2)
+
+
+def _moved(image: FloatArray, shift: FloatArray) -> FloatArray:
+    """An image moved by a shift (2,) px, its border repeated."""
+    matrix = np.column_stack([np.eye(2), shift])
+    return cv2.warpAffine(image, matrix, image.shape[1::-1], borderMode=cv2.BORDER_REPLICATE)
+
+
+def _edge_difference(image: FloatArray, reference: FloatArray) -> float:
+    """Median difference of an image's edges from others, where there are some."""
+    edges = _edges(image)
+    strong = reference > np.quantile(reference, STRONG_EDGES)
+    return float(np.median(np.abs(edges - reference)[strong]))
 
 
 def _edges(image: FloatArray) -> FloatArray:
-    """Gradient magnitude: places do not depend on the level of the light."""
-    return np.minimum(_slope(image), 20.0)
+    """Where edges are, whatever the level of the light: the gradient's magnitude up to a limit.
+
+    Smooth enough that noise counts for little, which a shift by part of a px would smooth away.
+    """
+    return np.minimum(_slope(cv2.GaussianBlur(image, (0, 0), EDGE_PX)), STRONGEST_EDGE)
