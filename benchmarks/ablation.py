@@ -2,7 +2,7 @@
 
     python benchmarks/ablation.py                            eight looks, two seeds each, 30 labels
     python benchmarks/ablation.py --labels 0 --looks 16      without labels: nothing is drawn from a seed
-    python benchmarks/ablation.py --stage bias_correction --stage end_regression+shift_augmentation      these alone
+    python benchmarks/ablation.py --stage bias_correction --stage self_training+edge_orientation      these alone
     python benchmarks/ablation.py --looks 1 --seeds 1 --steps 3 --frames 12      a run to see that it runs
 
 Looks are drawn from the training families: what this table decides must not be decided on held-out looks. A network is
@@ -53,7 +53,6 @@ from bendtrack.tracker.video import spread_frames
 WITH_LABELS = (
     "whole_frame_search",
     "iterative_refinement",
-    "shift_augmentation",
     "end_regression",
     "agreement_check",
     "static_patches",
@@ -62,7 +61,6 @@ WITH_LABELS = (
     "bias_correction",
 )
 WITHOUT_LABELS = (
-    "shift_augmentation",
     "end_regression",
     "backward_pass",
     "flip_augmentation",

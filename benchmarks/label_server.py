@@ -25,6 +25,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+sys.path.append(str(Path(__file__).parents[1] / "tests" / "browser"))
+from page_client import log_in
+
 from bendtrack.labeling.store import image_name
 from bendtrack.tracker.project import Project
 
@@ -48,14 +51,14 @@ class Page:
     def __init__(self, address: str) -> None:
         self.host = address.split("/")[2]
         self.connection = http.client.HTTPConnection(self.host, timeout=60)
-        self.cookie = ""
-        self.connection.request("GET", "/" + address.split("/")[-1])
-        answer = self.connection.getresponse()
-        answer.read()
-        self.cookie = str(answer.getheader("Set-Cookie")).split(";")[0]
+        self.session = log_in(address)
 
     def __call__(self, method: str, path: str, body: object = None) -> bytes:
-        headers = {"Cookie": self.cookie, "Origin": f"http://{self.host}", "X-Bendtrack": "1"}
+        headers = {
+            **self.session.headers(method, path),
+            "Origin": f"http://{self.host}",
+            "X-Bendtrack": "1",
+        }
         data = None if body is None else json.dumps(body)
         self.connection.request(method, path, data, {**headers, "Content-Type": "application/json"})
         answer = self.connection.getresponse()

@@ -19,6 +19,7 @@ from .reporting import SILENT, Reporter
 from .tracker.atomic import atomic_write_text, remove_leftovers
 from .tracker.errors import BendtrackError, CheckpointError, LabelError, TrainingError
 from .tracker.extras import training_packages_needed
+from .tracker.links import make_folder
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -178,7 +179,7 @@ def train_network(
         f"{'Going on with' if resume else 'Training'} '{folder.name}' on {len(frames)} labelled frames"
     )
     _say_start(settings, reporter)
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     state, stored = folder / STATE_FILE, folder / model_folders.SETTINGS_FILE
     remove_leftovers(folder)
     if not resume:
@@ -468,7 +469,7 @@ def _write(evaluation: Evaluation, folder: Path, rows: list[dict[str, float]], *
     from .models.evaluation import write_evaluation
     from .models.figures import write_figures
 
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     write_evaluation(evaluation, folder / "evaluation.json", **more)
     write_figures(evaluation, rows, folder)
 

@@ -83,6 +83,8 @@ class Annotations:
     lock : callable, optional
         Returns a context that is held while files are read, so that none is read between two writes of one
         edit. A caller that writes nothing can leave it out.
+    check_reachable : callable, optional
+        Raises an error while the project's folder is away: a frame that is not found then may still be there.
 
     Raises
     ------
@@ -91,14 +93,19 @@ class Annotations:
     """
 
     def __init__(
-        self, project: Project, lock: Callable[[], AbstractContextManager[None]] = nullcontext
+        self,
+        project: Project,
+        lock: Callable[[], AbstractContextManager[None]] = nullcontext,
+        check_reachable: Callable[[], None] = lambda: None,
     ) -> None:
         self._lock = lock
+        self._check_reachable = check_reachable
         self._root = Path(os.path.realpath(project.root))
         self.project, self.store = project, LabelStore.of(project)
         self._known_settings_mtime = self._settings_mtime()
         self._cache: dict[str, tuple[tuple[_Stamp, ...], VideoFolder]] = {}
         self._cache_lock = threading.Lock()
+        self._had_videos = False
         if not self._is_inside(project.labels_dir):
             raise LabelError(
                 f"expected {project.labels_dir} within the project, got a link to"
@@ -120,12 +127,25 @@ class Annotations:
             self._cache.clear()
 
     def videos(self) -> list[str]:
-        """Return the stems of the videos that have a folder within the project, sorted."""
-        return [
+        """Return the stems of the videos that have a folder within the project, sorted.
+
+        Raises
+        ------
+        LabelError
+            The project's folder, or its labeled-data/, is away.
+        """
+        self._check_reachable()
+        names = [
             name
             for name in self.store.videos()
             if _is_text(name) and self._is_inside(self.store.labels_dir / name)
         ]
+        if names:
+            self._had_videos = True
+        elif self._had_videos and not self.store.labels_dir.is_dir():
+            self._check_reachable()  # its reason is the better one
+            raise LabelError(f"expected {self.store.labels_dir}, got no such folder; it was there before")
+        return names
 
     def folder(self, video: str) -> VideoFolder | None:
         """Return one video's folder.
@@ -144,7 +164,10 @@ class Annotations:
         LabelError
             A label file or the notes are malformed, or a link out of the project.
         """
-        return self._folder(video) if video in self.videos() else None
+        if video in self.videos():
+            return self._folder(video)
+        self._check_reachable()  # gone for good, or only with the whole folder?
+        return None
 
     def folders(self) -> list[VideoFolder]:
         """Return all videos' folders, by name. Raises what `folder` raises."""

@@ -21,6 +21,8 @@ _POLL_INTERVAL_S = 1.0
 # Proxies and sleeping laptops drop connections without traffic.
 _HEARTBEAT_INTERVAL_S = 15.0
 _MAX_QUEUED_EVENTS = 1000
+# Tabs that listen. A hidden tab does not, so a person has a handful; beyond it the oldest stream ends.
+MAX_STREAMS = 32
 
 
 class EventBroadcaster:
@@ -37,7 +39,7 @@ class EventBroadcaster:
     def __init__(self, annotations: Annotations, stopping: Callable[[], bool]) -> None:
         self._annotations = annotations
         self._stopping = stopping
-        self._pages: set[asyncio.Queue[Mapping[str, Any]]] = set()
+        self._pages: dict[asyncio.Queue[Mapping[str, Any]], None] = {}  # the oldest first
         self._seen: dict[str, int] | None = None  # None: not polled yet; {}: no frames
         self._loop: asyncio.AbstractEventLoop | None = None
 
@@ -98,14 +100,16 @@ class EventBroadcaster:
             One event, or a comment that keeps the connection open.
         """
         queue: asyncio.Queue[Mapping[str, Any]] = asyncio.Queue(_MAX_QUEUED_EVENTS)
-        self._pages.add(queue)
+        self._pages[queue] = None
+        if len(self._pages) > MAX_STREAMS:
+            self._pages.pop(next(iter(self._pages)))
         try:
             if self._seen is None:  # a page that fetches the frame list after the hello misses no change
                 with suppress(LabelError, OSError):
                     self._seen = await run_in_threadpool(self._revisions)
             yield _line(hello)
             silent_s = 0.0
-            while not self._stopping():
+            while queue in self._pages and not self._stopping():
                 try:
                     yield _line(await asyncio.wait_for(queue.get(), 0.5))
                     silent_s = 0.0
@@ -115,7 +119,7 @@ class EventBroadcaster:
                         silent_s = 0.0
                         yield ": still here\n\n"
         finally:
-            self._pages.discard(queue)
+            self._pages.pop(queue, None)
 
     def _revisions(self) -> dict[str, int]:
         return {

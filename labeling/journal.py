@@ -16,6 +16,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
+from ..tracker.links import open_own_file
 from .frame_state import FrameState
 
 
@@ -146,13 +147,19 @@ class Journal:
         self._redo: dict[str, list[Entry]] = defaultdict(list)
 
     def catch_up(self) -> None:
-        """Read what other servers have appended. If the file was removed, the histories start anew."""
+        """Read what other servers have appended. If the file was removed, the histories start anew.
+
+        Raises
+        ------
+        OSError
+            It cannot be read, or is a link: what is read here is appended to.
+        """
         try:
-            file = self._path.open("rb")
+            descriptor = open_own_file(self._path, os.O_RDONLY | getattr(os, "O_BINARY", 0))
         except FileNotFoundError:
             self._forget()
             return
-        with file:
+        with open(descriptor, "rb") as file:
             status = os.fstat(file.fileno())
             identity = (status.st_dev, status.st_ino)
             if self._file not in (None, identity) or status.st_size < self._offset:
@@ -213,8 +220,8 @@ class Journal:
 
     def _append(self, record: Mapping[str, Any], *, durable: bool) -> None:
         is_new = not self._path.exists()
-        descriptor = os.open(
-            self._path, os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0), 0o600
+        descriptor = open_own_file(
+            self._path, os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)
         )
         try:
             size = os.fstat(descriptor).st_size

@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 
 from ..tracker.errors import LabelError
+from ..tracker.links import open_own_file
 from ..tracker.types import Detector
 from .annotations import ImageFile
 from .frame_state import FrameState
@@ -213,7 +214,8 @@ class Predictions:
             },
         }  # fmt: skip
         self._add_record(record)
-        with self._path.open("a", encoding="utf-8") as file:
+        descriptor = open_own_file(self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
+        with open(descriptor, "a", encoding="utf-8") as file:
             file.write(json.dumps(record) + "\n")
         self._notify((image_file.path.parent.name, image_file.name))
 

@@ -57,6 +57,8 @@ class LabellingServer:
         Writes changes of the frames.
     repeat_share : float
         Share in [0, 1] of the labelled frames that is shown again for a blind repeat label.
+    sign_address : callable, optional
+        Takes the address of an image and returns one that can be fetched without a header.
     stopping : callable, optional
         Returns True when the server is about to stop.
 
@@ -74,6 +76,7 @@ class LabellingServer:
         editor: Editor,
         *,
         repeat_share: float,
+        sign_address: Callable[[str], str] = str,
         stopping: Callable[[], bool] = lambda: False,
     ) -> None:
         self._annotations = annotations
@@ -83,7 +86,7 @@ class LabellingServer:
         # A filmstrip requests dozens of thumbnails at once; a click in between must not wait for a core.
         self._thumbnail_slot = asyncio.Semaphore(1)
         self.broadcaster = EventBroadcaster(annotations, stopping)
-        self.view_models = ViewModels(annotations, editor, repeat_share)
+        self.view_models = ViewModels(annotations, editor, repeat_share, sign_address)
 
     def app(self) -> Starlette:
         """Return the ASGI application."""
@@ -220,14 +223,17 @@ class LabellingServer:
             body.flagged,
             body.skipped,
         )
-        return self._editor.edit(
-            video,
-            image,
-            change,
-            base_revision=body.base_revision,
-            edit_id=str(body.edit_id),
-            client_id=body.client_id,
-        )
+        try:
+            return self._editor.edit(
+                video,
+                image,
+                change,
+                base_revision=body.base_revision,
+                edit_id=str(body.edit_id),
+                client_id=body.client_id,
+            )
+        except KeyError as error:  # its image has gone meanwhile
+            raise FrameNotFoundError(f"{video}/{image}") from error
 
     async def _undo(self, request: Request) -> Response:
         return await self._step(request, self._editor.undo)
@@ -276,7 +282,10 @@ class LabellingServer:
         if not was_done:
             placed = {name: point for name, point in points.items() if point is not None}
             repeat = RepeatLabel(placed, folder.states[image].points)
-            self._editor.repeat(video, image, repeat.to_json(), edit_id=edit_id, client_id=body.client_id)
+            try:
+                self._editor.repeat(video, image, repeat.to_json(), edit_id=edit_id, client_id=body.client_id)
+            except KeyError as error:
+                raise FrameNotFoundError(f"{video}/{image}") from error
             folder, _ = self.view_models.image_file(video, image)
         stored = RepeatLabel.from_json(folder.repeats.get(image, {}))
         definition = self.view_models.definition(self._annotations.folders())

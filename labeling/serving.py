@@ -15,11 +15,13 @@ from ..tracker.errors import LabelError
 from ..tracker.project import Project
 from .annotations import Annotations, ImageFile
 from .auth import AuthMiddleware
+from .connections import BACKLOG, LimitedProtocol
 from .edits import Editor
 from .predictions import Network, Predictions
 from .private_folder import PrivateFolder
 from .repeatability import REPEAT_SHARE
 from .server import LabellingServer
+from .session_key import SessionKey
 
 _HOST = "127.0.0.1"
 
@@ -53,29 +55,34 @@ def serve_labelling(
         There are no frames, labels cannot be read, or the port is taken.
     """
     private = PrivateFolder(project.root)
-    annotations = Annotations(project, private.lock)
+    annotations = Annotations(project, private.lock, private.check_reachable)
     editor = Editor(annotations, private)
     if not any(folder.states for folder in annotations.folders()):
         raise LabelError(
             f"expected images to label in {project.labels_dir}, got none: `bendtrack frames` selects some"
         )
-    secret = private.secret()
+    key = SessionKey()
     listening = _listen(private, port)
     port = listening.getsockname()[1]
     private.remember_port(port)
 
     server = LabellingServer(
-        annotations, editor, repeat_share=repeat_share, stopping=lambda: running.should_exit
+        annotations,
+        editor,
+        repeat_share=repeat_share,
+        sign_address=key.sign_address,
+        stopping=lambda: running.should_exit,
     )
     if network is not None:
         server.view_models.predictions = Predictions(
             network, private.path, lambda: _all_images(annotations), server.predicted
         )
-    auth = AuthMiddleware(server.app(), port, secret)
+    auth = AuthMiddleware(server.app(), port, key)
     running = uvicorn.Server(
         uvicorn.Config(
             auth,
-            http="h11",
+            http=LimitedProtocol,
+            backlog=BACKLOG,
             ws="none",
             loop="asyncio",
             log_level="error",
@@ -87,7 +94,7 @@ def serve_labelling(
         )
     )
     # Connections wait in the socket's queue until the server accepts them, so the address is valid already.
-    ready(lambda: f"http://{_HOST}:{port}/?token={auth.new_token()}")
+    ready(lambda: f"http://{_HOST}:{port}{auth.new_login()}")
     try:
         running.run(sockets=[listening])
     finally:

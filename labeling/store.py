@@ -15,6 +15,7 @@ import numpy as np
 
 from ..tracker.atomic import atomic_write_bytes, atomic_write_text
 from ..tracker.errors import LabelError
+from ..tracker.links import make_folder
 from ..tracker.project import Project
 from ..tracker.types import FloatArray, ImageArray, LabelledFrame
 from .label_table import LabelRow, LabelTable, Point, format_label_table, read_label_table, same_number
@@ -223,7 +224,7 @@ class LabelStore:
         coded, data = cv2.imencode(path.suffix, cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
         if not coded:
             raise LabelError(f"{path}: expected an image that can be saved, got {image.shape}")
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent)
         atomic_write_bytes(path, data.tobytes())
         return path
 

@@ -5,7 +5,7 @@ They are JSON-ready values in the form of page/API.md. `server.py` sends them ov
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from importlib.metadata import version
 from itertools import pairwise
@@ -43,6 +43,8 @@ class ViewModels:
         Source of the frames that were edited last.
     repeat_share : float
         Share in [0, 1] of the labelled frames that is shown again for a blind repeat label.
+    sign_address : callable, optional
+        Takes the address of an image and returns one that can be fetched without a header.
 
     Attributes
     ----------
@@ -50,7 +52,14 @@ class ViewModels:
         Predictions of the network; None without a network.
     """
 
-    def __init__(self, annotations: Annotations, editor: Editor, repeat_share: float) -> None:
+    def __init__(
+        self,
+        annotations: Annotations,
+        editor: Editor,
+        repeat_share: float,
+        sign_address: Callable[[str], str] = str,
+    ) -> None:
+        self._sign_address = sign_address
         self._annotations = annotations
         self._editor = editor
         self._repeat_share = repeat_share
@@ -117,7 +126,7 @@ class ViewModels:
         size_wh = header_size_wh(image_file)
         return {
             "id": f"{folder.video}/{image}",
-            **_urls(folder.video, image_file),
+            **self._urls(folder.video, image_file),
             "video": folder.video,
             "image": image,
             "frame": image_file.frame,
@@ -191,7 +200,7 @@ class ViewModels:
             "previous": None
             if before is None
             else {"id": f"{video}/{before}", "points": _points(folder.states[before], keypoints)},
-            "prefetch": [_urls(video, other)["image_url"] for other in soon],
+            "prefetch": [self._urls(video, other)["image_url"] for other in soon],
         }
 
     def summary(self) -> dict[str, Any]:
@@ -208,7 +217,7 @@ class ViewModels:
             size_wh = header_size_wh(image_file)
             if size_wh is None:
                 continue
-            urls = _urls(video, image_file)
+            urls = self._urls(video, image_file)
             return {
                 "id": f"{video}/{image}",
                 **urls,
@@ -251,6 +260,14 @@ class ViewModels:
         if folder is None or image not in folder.images:
             raise FrameNotFoundError(f"{video}/{image}")
         return folder, folder.images[image]
+
+    def _urls(self, video: str, image_file: ImageFile) -> dict[str, str]:
+        url = f"/api/frames/{quote(video, safe='')}/{quote(image_file.name, safe='')}"
+        return {
+            "url": url,
+            "image_url": self._sign_address(f"{url}/image?v={image_file.stamp}"),
+            "thumb_url": self._sign_address(f"{url}/thumb?v={image_file.stamp}"),
+        }
 
     def _prediction(self, image_file: ImageFile) -> Prediction | None:
         return None if self.predictions is None else self.predictions.get(image_file)
@@ -296,15 +313,6 @@ def _next_frame(frames: Sequence[tuple[str, str]], after: str | None) -> str | N
         if state in open_states and name != after:
             return name
     return None
-
-
-def _urls(video: str, image_file: ImageFile) -> dict[str, str]:
-    url = f"/api/frames/{quote(video, safe='')}/{quote(image_file.name, safe='')}"
-    return {
-        "url": url,
-        "image_url": f"{url}/image?v={image_file.stamp}",
-        "thumb_url": f"{url}/thumb?v={image_file.stamp}",
-    }
 
 
 def _points(state: FrameState, keypoints: Sequence[str]) -> dict[str, list[float] | None]:

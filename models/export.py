@@ -20,6 +20,7 @@ from ..tracker.angle import bending_angle
 from ..tracker.atomic import atomic_path, atomic_write_text
 from ..tracker.errors import CheckpointError, reason
 from ..tracker.hashing import file_sha256
+from ..tracker.links import make_folder
 from ..tracker.types import Detections, ImageArray
 from .data.images import read_image_file
 from .data.synthetic import rendered_samples
@@ -142,7 +143,7 @@ def build(
     candidates = candidates_of_parts(checkpoint.candidates)
     expected = _detect(network.estimator(checkpoint.candidates), checkpoint, judge)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         if regressor:
             _save(regression_model, folder / f"{END_REGRESSOR_FILE}.xml")
         for name, make in variants.items():

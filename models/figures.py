@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from ..tracker.atomic import atomic_path
+from ..tracker.links import make_folder
 from ..tracker.types import FloatArray
 from .data.images import read_image
 from .evaluation import Evaluation
@@ -44,7 +45,7 @@ def write_figures(evaluation: Evaluation, rows: Sequence[dict[str, float]], fold
     list of Path
         The files written.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     figures = {"errors.png": _errors(evaluation), "worst-frames.png": _worst(evaluation)}
     if rows:
         figures["learning-curve.png"] = _learning_curve(rows)

@@ -12,6 +12,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from .links import link_within_project, refuse_links
+
 try:
     import fcntl
 except ImportError:  # Windows, where a file that is open cannot be removed anyway
@@ -29,7 +31,8 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     file behind; code that lists a folder skips names that begin with a dot. A file that is being
     written is locked, so `remove_leftovers` keeps it.
 
-    A symbolic link is followed: its target is replaced, the link stays.
+    A symbolic link is followed: its target is replaced, the link stays. In a project, where a link may be somebody
+    else's, it is refused, and so is a folder of the project that is a link (see `links.py`).
 
     Parameters
     ----------
@@ -38,9 +41,12 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
 
     Raises
     ------
+    LinkError
+        The file lies in a project and is a link, or lies behind one.
     OSError
         The file cannot be written (missing or read-only folder, full disk).
     """
+    refuse_links(path)
     target = Path(os.path.realpath(path))
     temporary, lock = _new_file(target)
     try:
@@ -69,6 +75,8 @@ def remove_leftovers(folder: str | Path, stem: str | None = None) -> None:
     stem : str or None, optional
         Only temporary files of files with this stem; None for all.
     """
+    if link_within_project(folder) is not None:
+        return
     name = "*" if stem is None else glob.escape(stem[:40])
     for leftover in Path(folder).glob(f".{name}.{'[0-9a-f]' * 12}.tmp*"):
         with suppress(OSError):
@@ -104,7 +112,7 @@ def _new_file(target: Path) -> tuple[Path, int | None]:
 
 def _locked(path: Path) -> int:
     """Open a file and lock it until the descriptor is closed or the process ends; OSError if it is already locked."""
-    descriptor = os.open(path, os.O_RDWR)
+    descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:

@@ -24,6 +24,7 @@ from .atomic import remove_leftovers
 from .bookkeeping import choose_stem, is_recorded, is_up_to_date, overlay_of_record, record_file
 from .errors import BendtrackError, VideoError, reason
 from .hashing import file_sha256
+from .links import make_folder
 from .overlay import write_overlay
 from .project_settings import VIDEO_SUFFIXES
 from .results import AngleTable, read_results, write_results
@@ -301,7 +302,7 @@ def check_writable(folder: Path) -> None:
     BendtrackError
         It cannot be written.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     probe = folder / f".{secrets.token_hex(6)}.tmp"
     try:
         probe.write_bytes(b"bendtrack")

@@ -14,11 +14,12 @@ import tomlkit
 from .angle import AngleDefinition, sign_from_labels
 from .atomic import atomic_write_text
 from .errors import ProjectError
+from .links import PROJECT_FILE, make_folder
 from .project_settings import ProjectSettings, listed_stem, parse_settings
 from .toml_files import toml_text
 from .types import FloatArray
 
-SETTINGS_FILE = "bendtrack.toml"
+SETTINGS_FILE = PROJECT_FILE
 
 _TEMPLATE = """\
 # A bendtrack project. Keys that are not known are refused; lines that begin with # are comments.
@@ -111,7 +112,7 @@ class Project:
             document.add("scorer", tomlkit.item(scorer))
         text = tomlkit.dumps(document)
         settings = parse_settings(tomllib.loads(text), "the new project")
-        root.mkdir(parents=True, exist_ok=True)
+        make_folder(root)
         atomic_write_text(root / SETTINGS_FILE, text)
         return cls(root, settings)
 

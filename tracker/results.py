@@ -23,6 +23,7 @@ from .angle import AngleDefinition
 from .atomic import atomic_path, atomic_write_bytes, atomic_write_text
 from .errors import AngleError, ResultsError, reason
 from .hashing import file_sha256
+from .links import make_folder
 from .types import FloatArray
 
 if TYPE_CHECKING:
@@ -218,7 +219,7 @@ def write_results(table: AngleTable, out_dir: str | Path, stem: str) -> tuple[Pa
     folder = Path(out_dir)
     csv_path, h5_path, json_path = (folder / f"{stem}{suffix}" for suffix in (".csv", ".h5", ".json"))
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         atomic_write_bytes(h5_path, _h5_bytes(table))
         with atomic_path(csv_path) as temporary:
             _write_csv(table, temporary)

@@ -15,6 +15,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from ...tracker.errors import LabelError
+from ...tracker.links import make_folder, refuse_links
 from ...tracker.project import Project
 from ...tracker.types import FloatArray
 from ..label_table import LabelTable
@@ -162,7 +163,8 @@ def new_folder(out: Path) -> Iterator[Path]:
         raise LabelError(
             f"expected a new or an empty folder to export to, got one with something in it: {out}"
         )
-    out.parent.mkdir(parents=True, exist_ok=True)
+    refuse_links(out)
+    make_folder(out.parent)
     staging = out.parent / f".{out.name[:40]}.{secrets.token_hex(6)}.tmp"
     try:
         staging.mkdir()

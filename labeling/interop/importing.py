@@ -14,6 +14,7 @@ from pathlib import Path
 
 from ...tracker.atomic import atomic_write_bytes
 from ...tracker.errors import LabelError, ProjectError
+from ...tracker.links import make_folder
 from ...tracker.project import SETTINGS_FILE, Project
 from ...tracker.project_settings import DEFAULT_ACTUATOR
 from ...tracker.video import Video, video_stem
@@ -302,7 +303,7 @@ def _copy(data: bytes, target: Path, overwrite: bool, video: str, report: Import
         if not overwrite:
             report.skipped.append(f"{video}/{target.name}: the project has another image of that name, kept")
             return False
-    target.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(target.parent)
     atomic_write_bytes(target, data)
     report.images += 1
     return True

@@ -25,6 +25,7 @@ import numpy as np
 
 from ...tracker.atomic import atomic_path
 from ...tracker.errors import LabelError
+from ...tracker.links import make_folder
 from ...tracker.project import Project
 from ...tracker.project_settings import listed_stem
 from ..label_table import LabelRow
@@ -295,7 +296,7 @@ def export_sleap(project: Project, out: str | Path, *, videos: Sequence[str | Pa
         suggestions=suggestions,
         provenance={_WRITER: "labels written by bendtrack"},
     )
-    out.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(out.parent)
     with atomic_path(out) as temporary:
         embed = False if by_reference else "user+suggestions"
         sleap_io.save_slp(labels, str(temporary), embed=embed, verbose=False)

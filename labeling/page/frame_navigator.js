@@ -1,6 +1,6 @@
 // Frame navigation: opening a frame with its image, going to the next one, and updating it when the server changes it.
 
-import { Refused, Unreachable, get } from "./api.js";
+import { Refused, Unproven, Unreachable, get } from "./api.js";
 import { byId } from "./elements.js";
 import { showMessage } from "./message.js";
 
@@ -91,7 +91,7 @@ export class FrameNavigator {
       this.#open.adopt(frame, unsent?.body);
       if (changed && !unsent) showMessage("Changed in another tab, or by someone else.");
     } catch (error) {
-      if (!(error instanceof Unreachable || error instanceof Refused)) throw error;
+      if (![Unreachable, Refused, Unproven].some((kind) => error instanceof kind)) throw error;
     }
   }
 
@@ -109,14 +109,15 @@ export class FrameNavigator {
     byId("loading").hidden = true;
   }
 
-  /** A frame object; from the list while the server is unreachable, so that labelling can continue. */
+  /** A frame object; from the list while the server or the project is unreachable, so that labelling can continue. */
   async #fetched(row) {
     try {
       const frame = await this.#latest(row);
       this.#list.update(frame);
       return frame;
     } catch (error) {
-      if (!(error instanceof Unreachable) || !row.points) throw error;
+      const away = error instanceof Unreachable || error instanceof Unproven || error.status === 503;
+      if (!away || !row.points) throw error;
       return { suggestions: {}, suggestion_source: null, previous: null, prefetch: [], ...row };
     }
   }

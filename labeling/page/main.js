@@ -1,7 +1,7 @@
 // Entry point of the page: fetches the project, creates the parts and connects them.
 
 import { makeActions } from "./actions.js";
-import { Refused, Unreachable, get, send } from "./api.js";
+import { Refused, Unproven, Unreachable, askForKey, get, send } from "./api.js";
 import { chooseVersion } from "./conflict_dialog.js";
 import { connectControls } from "./controls.js";
 import { FrameNavigator } from "./frame_navigator.js";
@@ -23,6 +23,7 @@ import { showSaving } from "./save_indicator.js";
 import { SaveQueue } from "./save_queue.js";
 import { disagreements, makeScene } from "./scene.js";
 import { listen } from "./server_events.js";
+import { claimKey, onNewKey } from "./session.js";
 import { Stage } from "./stage.js";
 import { adoptOrphanedEdits, tabIdentity } from "./tab_identity.js";
 import { startTheme } from "./theme.js";
@@ -33,12 +34,14 @@ const LIST_AGAIN_MS = 1500;
 
 startTheme(byId("theme"));
 start().catch(async (error) => {
-  if (error instanceof Refused && [401, 403].includes(error.status)) {
+  if (error instanceof Unproven) {
+    onNewKey(() => location.reload());
     showEmpty("This page has no session", "Open the address that this command prints:", "bendtrack label PROJECT");
     return;
   }
   if (!(error instanceof Refused || error instanceof Unreachable)) throw error;
-  showEmpty("The server does not answer", `${error.message}. The page goes on when this command runs:`, "bendtrack label PROJECT");
+  const heading = error instanceof Refused ? "The project cannot be read" : "The server does not answer";
+  showEmpty(heading, `${error.message}. The page goes on when this command runs:`, "bendtrack label PROJECT");
   let answer = null;
   while (!answer) {
     await new Promise((resolve) => setTimeout(resolve, LIST_AGAIN_MS));
@@ -48,6 +51,7 @@ start().catch(async (error) => {
 });
 
 async function start() {
+  await claimKey(askForKey).catch(() => {}); // used already: then there is a key, or the next request says so
   const project = await get("/api/project");
   byId("project-name").textContent = project.name;
   document.title = `${project.name} · bendtrack`;
@@ -87,6 +91,8 @@ async function start() {
   }
 
   function afterRepeats(spread) {
+    troubleShown = null; // the round had the banner
+    showTrouble();
     if (spread) showMessage(`Your own spread: ${spread.px.toFixed(2)} px${spread.deg === null ? "" : `, ${spread.deg.toFixed(2)}°`} (I shows more).`, 8000);
     frameNavigator.go(frameNavigator.current);
     reload().catch(() => {});
@@ -119,16 +125,16 @@ async function start() {
     open.adopt(open.frame, queue.latest(open.frame?.id)?.body);
   });
 
-  queue.addEventListener("status", () => showSaving(queue.status));
+  queue.addEventListener("status", () => {
+    showSaving(queue.status);
+    showTrouble();
+  });
+  onNewKey(() => queue.retry());
   queue.addEventListener("saved", ({ detail: { edit, answer } }) => {
     if (edit.kind !== "frame") return;
     list.update(answer);
     open.adopt(answer, queue.latest(answer.id)?.body);
     settleSign();
-  });
-  queue.addEventListener("refused", ({ detail: { edit, error } }) => {
-    showMessage(`This edit cannot be saved (${error.message}); the frame is shown as it is on disk.`, 10000);
-    if (edit.kind === "frame") frameNavigator.refresh(edit.id);
   });
   queue.addEventListener("conflict", settleConflicts);
   addEventListener("beforeunload", (event) => {
@@ -136,6 +142,8 @@ async function start() {
     if (queue.status.waiting && queue.status.state !== "saving") event.preventDefault();
   });
 
+  let signedOut = false;
+  let troubleShown = null;
   let choosing = false;
   async function settleConflicts() {
     if (choosing) return;
@@ -200,7 +208,10 @@ async function start() {
 
   listen({
     async connected() {
-      setBannerUnlessRepeating(null);
+      const answer = await get("/api/proof").catch((reason) => reason);
+      signedOut = answer instanceof Unproven;
+      showTrouble();
+      if (answer instanceof Error) return;
       queue.setConnected(true);
       // Changes while no events were received, including those since the list was fetched.
       await openFirst().catch(() => {});
@@ -209,9 +220,8 @@ async function start() {
     async lost() {
       queue.setConnected(false);
       const error = await get("/api/project").catch((reason) => reason);
-      if (error instanceof Refused && [401, 403].includes(error.status)) {
-        setBannerUnlessRepeating("This page's session has ended. Open the address that bendtrack label prints; unsent edits are kept and go with it.");
-      }
+      signedOut = error instanceof Unproven;
+      showTrouble();
     },
     changed({ id, edit_id: editId }) {
       if (queue.isOwn(editId) || history.isOwn(editId)) return;
@@ -226,8 +236,33 @@ async function start() {
     model: reloadSoon,
   });
 
-  function setBannerUnlessRepeating(text) {
-    if (!repeats.active) setBanner(text, [], "trouble");
+  /** The banner says why edits wait, and what to do. */
+  function showTrouble() {
+    if (repeats.active) return;
+    const { state, waiting, reason } = queue.status;
+    let text = null;
+    let buttons = [];
+    if (signedOut || state === "session") {
+      text = "The server of this page has ended, and something else answers in its place. Do not reload: open the address that bendtrack label prints, in this browser.";
+      if (waiting) text += " Unsent edits are kept and go with it.";
+    } else if (state === "disk") text = `Not on disk: ${reason}. Edits are kept here and sent again.`;
+    else if (state === "refused") {
+      const frames = queue.refused.map((id) => id.replace(/^repeat /, "")).join(", ");
+      text = `Not saved: ${frames} (${reason}). Kept here and sent again.`;
+      buttons = [
+        { text: "Send again", run: () => queue.retry(), main: true },
+        { text: "Drop these edits", run: dropRefused },
+      ];
+    }
+    if (text === troubleShown) return;
+    troubleShown = text;
+    setBanner(text, buttons, "trouble");
+  }
+
+  function dropRefused() {
+    const ids = queue.refused;
+    queue.dropRefused();
+    for (const id of ids) if (id === open.frame?.id) frameNavigator.refresh(id);
   }
 }
 

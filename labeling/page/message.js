@@ -21,7 +21,7 @@ export function setBanner(text, buttons = [], kind = "note") {
   return node.replaceChildren(
     element("span", {}, text),
     ...buttons.map(({ text: label, key, run, main }) =>
-      element("button", { type: "button", class: main ? "main" : "", onclick: run }, label, element("kbd", {}, key)),
+      element("button", { type: "button", class: main ? "main" : "", onclick: run }, label, key && element("kbd", {}, key)),
     ),
   );
 }

@@ -8,8 +8,9 @@ const TEXT = {
   saved: () => "Saved",
   saving: () => "Saving…",
   offline: ({ waiting }) => (waiting ? `Offline · ${edits(waiting)} kept, will send again` : "Offline · connecting again"),
-  session: ({ waiting }) => `Signed out · ${edits(waiting)} kept here`,
-  disk: ({ waiting }) => `Not on disk yet · ${edits(waiting)} kept, trying again`,
+  session: ({ waiting }) => (waiting ? `Signed out · ${edits(waiting)} kept here` : "Signed out"),
+  disk: ({ waiting }) => (waiting ? `Not on disk yet · ${edits(waiting)} kept, trying again` : "The project cannot be read"),
+  refused: ({ waiting }) => `Not saved · ${edits(waiting)} refused, kept here`,
   conflict: () => "Waiting for your choice",
 };
 

@@ -3,14 +3,18 @@
 //
 // An edit keeps its `edit_id` however often it is sent; the server does it once. An edit made on top of an earlier,
 // unsent one of the same frame has no base revision of its own: it follows the earlier one's answer.
+//
+// No edit leaves the queue unless the server has it, a later edit of the same frame contains it, or the user drops it.
+// One that the server refuses holds back only the later ones of its frame; it is sent again from time to time.
 
-import { Refused, Unreachable } from "./api.js";
+import { Refused, Unproven, Unreachable } from "./api.js";
 
 const RETRY_MS = [300, 600, 1200, 2500, 5000];
-// Temporary refusals: the edit is sent again. Any other refusal is final.
-const RETRIED_STATUS = new Set([401, 403, 408, 429, 503]);
+const REFUSED_AGAIN_MS = 5000;
+// Refusals that concern one edit. After any other failure all edits wait.
+const REFUSED_STATUS = new Set([400, 404, 405, 409, 413, 415, 422]);
 
-/** Events: "status" (see `status`), "saved" {edit, answer}, "conflict" {id}, "refused" {edit, error}. */
+/** Events: "status" (see `status`), "saved" {edit, answer}, "conflict" {id}. */
 export class SaveQueue extends EventTarget {
   #key;
   #send;
@@ -18,6 +22,8 @@ export class SaveQueue extends EventTarget {
   #edits = [];
   #held = new Set(); // edit ids that wait for more of the same, e.g. a key that repeats
   #conflicts = new Map(); // frame id -> the frame as somebody else left it
+  #refused = new Map(); // frame id -> {reason, waits}: why its first edit was refused, and whether it waits
+  #refusedTimer = null;
   #sending = null;
   #failures = 0;
   #retryTimer = null;
@@ -36,8 +42,9 @@ export class SaveQueue extends EventTarget {
   get status() {
     const state = this.#conflicts.size
       ? "conflict"
-      : (this.#trouble?.kind ?? (this.#edits.length ? "saving" : "saved"));
-    return { state, waiting: this.#edits.length, reason: this.#trouble?.reason ?? "" };
+      : (this.#trouble?.kind ?? (this.#refused.size ? "refused" : this.#edits.length ? "saving" : "saved"));
+    const [refusal] = this.#refused.values();
+    return { state, waiting: this.#edits.length, reason: this.#trouble?.reason ?? refusal?.reason ?? "" };
   }
 
   /** Whether an edit of a server event was made here. */
@@ -52,6 +59,11 @@ export class SaveQueue extends EventTarget {
 
   conflict(id) {
     return this.#conflicts.get(id) ?? null;
+  }
+
+  /** Ids of the frames whose edits the server refuses. */
+  get refused() {
+    return [...this.#refused.keys()];
   }
 
   get conflicts() {
@@ -78,6 +90,7 @@ export class SaveQueue extends EventTarget {
    *  of the edit with the same key that is waiting. */
   add(edit, merge = null) {
     const last = this.latest(edit.id);
+    if (last && this.#refused.has(edit.id)) return this.#supersede(edit);
     if (last && merge && last.merge === merge && this.#held.has(last.edit_id)) {
       last.body = edit.body;
     } else {
@@ -107,6 +120,9 @@ export class SaveQueue extends EventTarget {
 
   retry() {
     this.#failures = 0;
+    for (const refusal of this.#refused.values()) refusal.waits = false;
+    clearTimeout(this.#refusedTimer);
+    this.#refusedTimer = null;
     clearTimeout(this.#retryTimer);
     this.#retryTimer = null;
     if (!this.#edits.length) this.#setTrouble(null);
@@ -117,7 +133,7 @@ export class SaveQueue extends EventTarget {
   drained() {
     this.release();
     if (!this.#edits.length) return Promise.resolve(true);
-    if (this.#trouble || this.#conflicts.size) return Promise.resolve(false);
+    if (this.#trouble || this.#conflicts.size || this.#refused.size) return Promise.resolve(false);
     return new Promise((resolve) => this.#idle.push(resolve));
   }
 
@@ -134,10 +150,22 @@ export class SaveQueue extends EventTarget {
     this.#replaceEditsOf(id, null);
   }
 
+  /** The user gives up the edits that the server refuses. */
+  dropRefused() {
+    for (const id of this.refused) this.#replaceEditsOf(id, null);
+  }
+
+  /** A later edit of a frame has all of the frame in it, and may be what the server can accept. */
+  #supersede(edit) {
+    const { base_revision: base } = this.#edits.find((earlier) => earlier.id === edit.id);
+    this.#replaceEditsOf(edit.id, { ...edit, edit_id: crypto.randomUUID(), base_revision: base, merge: null });
+  }
+
   #replaceEditsOf(id, settled) {
     this.#edits = this.#edits.filter((edit) => edit.id !== id);
     if (settled) this.#edits.push(settled);
     this.#conflicts.delete(id);
+    this.#refused.delete(id);
     this.#store();
     this.#emit("status");
     this.#run();
@@ -161,16 +189,20 @@ export class SaveQueue extends EventTarget {
       }
     }
     this.#emit("status");
-    if (!this.#edits.length || this.#trouble || this.#conflicts.size) this.#settleIdle(!this.#edits.length);
+    if (!this.#edits.length || this.#trouble || this.#conflicts.size || this.#refused.size) {
+      this.#settleIdle(!this.#edits.length);
+    }
   }
 
   #next() {
     // Held edits stop only what comes behind them on the same frame, which is nothing: `add` releases them.
-    return this.#edits.find((edit) => !this.#held.has(edit.edit_id) && !this.#conflicts.has(edit.id));
+    const waits = ({ id, edit_id: editId }) => this.#held.has(editId) || this.#conflicts.has(id) || this.#refused.get(id)?.waits;
+    return this.#edits.find((edit) => !waits(edit));
   }
 
   #done(edit, answer) {
     this.#savedCount++;
+    this.#refused.delete(edit.id);
     this.#edits = this.#edits.filter((other) => other !== edit);
     const following = this.#edits.find((other) => other.id === edit.id);
     if (following && following.base_revision === null) {
@@ -186,23 +218,28 @@ export class SaveQueue extends EventTarget {
 
   /** True: go on with the next edit. */
   #failed(edit, error) {
+    if (error instanceof Refused && REFUSED_STATUS.has(error.status)) this.#trouble = null;
     if (error instanceof Refused && error.status === 409 && error.body?.frame) {
+      this.#refused.delete(edit.id);
       this.#conflicts.set(edit.id, error.body.frame);
       this.#emit("conflict", { id: edit.id });
       return true;
     }
-    if (error instanceof Refused && !RETRIED_STATUS.has(error.status) && error.status < 500) {
-      this.#edits = this.#edits.filter((other) => other !== edit);
-      const following = this.#edits.find((other) => other.id === edit.id);
-      if (following) following.base_revision ??= edit.base_revision;
-      this.#store();
-      this.#emit("refused", { edit, error });
+    if (error instanceof Refused && REFUSED_STATUS.has(error.status)) {
+      const later = edit.kind === "frame" && this.#edits.find((other) => other !== edit && other.id === edit.id);
+      if (later) {
+        // It has all of the frame in it, and may be what the server can accept.
+        later.base_revision ??= edit.base_revision;
+        this.#edits = this.#edits.filter((other) => other !== edit);
+        this.#store();
+        return true;
+      }
+      this.#refused.set(edit.id, { reason: error.status === 404 ? "the frame is not there" : error.message, waits: true });
+      this.#refusedTimer ??= setTimeout(() => this.retry(), REFUSED_AGAIN_MS);
       return true;
     }
-    if (!(error instanceof Refused || error instanceof Unreachable)) console.error(error);
-    const status = error instanceof Refused ? error.status : 0;
-    const kind = status === 401 || status === 403 ? "session" : status ? "disk" : "offline";
-    this.#setTrouble({ kind, reason: error.message });
+    if (![Refused, Unproven, Unreachable].some((kind) => error instanceof kind)) console.error(error);
+    this.#setTrouble({ kind: kindOf(error), reason: error.message });
     const wait = RETRY_MS[Math.min(this.#failures++, RETRY_MS.length - 1)];
     this.#retryTimer = setTimeout(() => {
       this.#retryTimer = null;
@@ -233,6 +270,11 @@ export class SaveQueue extends EventTarget {
   #emit(name, detail) {
     this.dispatchEvent(new CustomEvent(name, { detail }));
   }
+}
+
+function kindOf(error) {
+  if (error instanceof Unproven) return "session";
+  return error instanceof Refused ? "disk" : "offline";
 }
 
 /** Edits kept under a key of localStorage. */

@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from ...tracker.types import Detections, ImageArray
-from ..inference.coarse_to_fine import AGREEMENT_CROP_PX, Predictor
+from ..inference.coarse_to_fine import Predictor
+from ..inference.tta import AGREEMENT_CROP_PX
 
 
 class AveragedPredictor:

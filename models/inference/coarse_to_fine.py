@@ -1,8 +1,8 @@
 """The coarse-to-fine estimator: a locator proposes where keypoints are, a refiner sees a crop around each.
 
-The stages, in order: propose, crop and predict (iterative refinement), average shifted crops, regress ends, check that
-both networks agree. Each takes an estimate and returns a new one. What follows for whole videos is in `tracking.py`,
-calibration in `metadata.py`. Networks are plain functions of images here (`Predictor`, `EndRegressor`), so that torch
+The stages, in order: propose, crop and predict (iterative refinement), regress ends, check that both networks agree.
+Each takes detections and returns new ones. What follows for whole videos is in `tracking.py`, calibration in
+`metadata.py`. Networks are plain functions of images here (`Predictor`, `EndRegressor`), so that torch
 and compiled engines share every line.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from ...tracker.types import BoolArray, Detections, FloatArray, Frames, ImageArray, IntArray
 from .affine import View, resize, stacked
-from .crops import MAX_STEP_PX, MAX_STEP_RAD, POSE_PX, CropGeometry, crop_end, move_ends
+from .crops import MAX_STEP_PX, MAX_STEP_RAD, CropGeometry, crop_end, move_ends
 from .roi import RegionOfInterest
 from .stages import ALL_STAGES, StageSettings
 
@@ -27,16 +27,9 @@ LOST_LIKELIHOOD = 0.15
 """A keypoint whose peak in the region of interest is lower is searched in the whole frame: a bend beyond the labelled
 ones may carry the tip out of the region. Peaks of visible keypoints are 0.4 to 0.9."""
 
-SHIFT_PX = 2.0
-"""Shift of the two crops that are averaged, to the lower right and to the upper left, frame px. Training shifts its
-crops by more than that."""
-
 RECENTRE_CROP_PX = 3.0
 MAX_ITERATIONS = 2
 """A keypoint found further from its crop's centre, in crop px, is cropped again, up to so many times in all."""
-
-AGREEMENT_CROP_PX = 8.0
-"""Two predictions further apart, in crop px, are not of the same thing: the likelier one is taken, not the mean."""
 
 LOST_CROP_PX = 16.0
 """Where locator and refiner put a keypoint further apart than this, in crop px, it is not the learnt keypoint."""
@@ -64,22 +57,6 @@ class EndRegressor(Protocol):
 
 
 @dataclass(frozen=True)
-class Estimate:
-    """Keypoints of N frames between two stages of the refinement.
-
-    Attributes
-    ----------
-    found : Detections
-        (N, K), as far as they are known.
-    pending : ndarray of bool, shape (N, K)
-        Keypoints that the stages to come still have to look at.
-    """
-
-    found: Detections
-    pending: BoolArray
-
-
-@dataclass(frozen=True)
 class CoarseToFineEstimator:
     """Locator and refiner together.
 
@@ -95,11 +72,6 @@ class CoarseToFineEstimator:
         Corrects the pose of moving ends; None where there is none.
     stages : StageSettings
         Which stages run.
-    shift_ends : bool
-        Whether ends that are regressed are averaged over shifted crops first. Without labels they are: whether an end
-        is seen at all is the question there.
-    single_view : tuple of int
-        Keypoints that are never averaged over shifted crops, since no measured quantity depends on them.
     """
 
     locator: Predictor
@@ -107,8 +79,6 @@ class CoarseToFineEstimator:
     candidates: int = 1
     end_regressor: EndRegressor | None = None
     stages: StageSettings = ALL_STAGES
-    shift_ends: bool = False
-    single_view: tuple[int, ...] = ()
 
     def detect(self, frames: Frames, geometry: CropGeometry) -> Detections:
         """Find the keypoints in frames of one size, each frame by itself.
@@ -169,7 +139,7 @@ class CoarseToFineEstimator:
         geometry: CropGeometry,
         wanted: BoolArray | None = None,
     ) -> Detections:
-        """Stages 2 to 4: crop around the expected positions and predict, average shifted crops, regress ends.
+        """Stages 2 and 3: crop around the expected positions and predict, regress ends.
 
         Parameters
         ----------
@@ -189,59 +159,40 @@ class CoarseToFineEstimator:
         found = expected if isinstance(expected, Detections) else predicted_at(expected)
         if wanted is None:
             wanted = np.logical_not(np.isnan(found.xy).any(axis=2))
-        estimate = Estimate(found, wanted)
-        stages = [self.crop_and_predict, self.regress_ends, self.average_shifted]
-        if self.shift_ends:
-            stages = [self.crop_and_predict, self.average_shifted, self.regress_ends]
-        for stage in stages:
-            if estimate.pending.any():
-                estimate = stage(frames, estimate, geometry)
-        return estimate.found
+        if not wanted.any():
+            return found
+        found = self.crop_and_predict(frames, found, geometry, wanted)
+        return self.regress_ends(frames, found, geometry, wanted)
 
-    def crop_and_predict(self, frames: Frames, estimate: Estimate, geometry: CropGeometry) -> Estimate:
+    def crop_and_predict(
+        self, frames: Frames, found: Detections, geometry: CropGeometry, wanted: BoolArray
+    ) -> Detections:
         """Stage 2: predict each keypoint in a crop around it, and once more where it lay far from the centre."""
-        found = estimate.found
-        rows, keypoints = np.nonzero(estimate.pending)
+        rows, keypoints = np.nonzero(wanted)
         for _ in range(MAX_ITERATIONS if self.stages.iterative_refinement else 1):
             expected = found.xy[rows, keypoints]
-            predicted = self._predict_crops(frames, found, rows, keypoints, 0.0, geometry)
+            predicted = self._predict_crops(frames, found, rows, keypoints, geometry)
             found = _with_keypoints(found, rows, keypoints, predicted)
             off_px = np.linalg.norm(predicted.xy[:, 0] - expected, axis=1)
             far = off_px * geometry.crop_scale > RECENTRE_CROP_PX
             rows, keypoints = rows[far], keypoints[far]
             if not len(rows):
                 break
-        return replace(estimate, found=found)
+        return found
 
-    def average_shifted(self, frames: Frames, estimate: Estimate, geometry: CropGeometry) -> Estimate:
-        """Stage 3: the mean of two crops shifted to opposite sides of each keypoint (test-time augmentation).
-
-        A prediction depends on where the keypoint lies in its crop, partly in the same way for both shifts and partly
-        by chance: the first cancels in the mean and the second is halved. Where a keypoint was expected a little off
-        does not matter after it.
-        """
-        averaged = estimate.pending & ~np.isin(np.arange(estimate.pending.shape[1]), self.single_view)
-        rows, keypoints = np.nonzero(averaged)
-        if not self.stages.shift_augmentation or not len(rows):
-            return estimate
-        shift = np.repeat([SHIFT_PX, -SHIFT_PX], len(rows))[:, None]
-        both = self._predict_crops(
-            frames, estimate.found, np.tile(rows, 2), np.tile(keypoints, 2), shift, geometry
-        )
-        mean = average_predictions(*halves(both), AGREEMENT_CROP_PX / geometry.crop_scale)
-        return replace(estimate, found=_with_keypoints(estimate.found, rows, keypoints, mean))
-
-    def regress_ends(self, frames: Frames, estimate: Estimate, geometry: CropGeometry) -> Estimate:
-        """Stage 4: correct the pose of moving ends by regression on a high-resolution crop.
+    def regress_ends(
+        self, frames: Frames, found: Detections, geometry: CropGeometry, wanted: BoolArray
+    ) -> Detections:
+        """Stage 3: correct the pose of moving ends by regression on a high-resolution crop.
 
         Supervised descent (Xiong & De la Torre 2013) with one step; the regression is fitted in
-        `denoising/end_regression.py`. Ends that are corrected are no longer pending.
+        `denoising/end_regression.py`. Ends are corrected where both their points are wanted.
         """
         if self.end_regressor is None or not self.stages.end_regression:
-            return estimate
-        xy, pending = estimate.found.xy.copy(), estimate.pending.copy()
+            return found
+        xy = found.xy.copy()
         for number, end in enumerate(self.end_regressor.ends):
-            rows = np.flatnonzero(estimate.pending[:, end].all(axis=1))
+            rows = np.flatnonzero(wanted[:, end].all(axis=1))
             if not len(rows):
                 continue
             ends = xy[rows[:, None], end]
@@ -254,11 +205,10 @@ class CoarseToFineEstimator:
                 np.abs(steps[:, 2]) <= MAX_STEP_RAD
             )
             xy[rows[near, None], end] = move_ends(ends[near], steps[near], geometry.crop_scale)
-            pending[rows[near, None], end] = False
-        return Estimate(replace(estimate.found, xy=xy), pending)
+        return replace(found, xy=xy)
 
     def check_agreement(self, proposed: Detections, found: Detections, geometry: CropGeometry) -> Detections:
-        """Stage 5: a keypoint must be seen by both networks, and in one place.
+        """Stage 4: a keypoint must be seen by both networks, and in one place.
 
         A locator may guess through a hand; a crop may show something else that looks alike.
         """
@@ -279,12 +229,10 @@ class CoarseToFineEstimator:
         found: Detections,
         rows: IntArray,
         keypoints: IntArray,
-        shift: FloatArray | float,
         geometry: CropGeometry,
     ) -> Detections:
-        """Predictions (M, 1), px of the frames, of M keypoints in crops shifted by (M, 1) px from where they are."""
+        """Predictions (M, 1), px of the frames, of M keypoints in crops around where they are."""
         poses = geometry.crop_poses(found.xy)[rows, keypoints]
-        poses[:, :2] += shift / POSE_PX
         crops = [geometry.crop(frames[i], pose) for i, pose in zip(rows, poses, strict=True)]
         predicted = _predict(self.refiner, [crop.image for crop in crops])
         own = np.arange(len(crops))
@@ -299,27 +247,6 @@ def predicted_at(xy: FloatArray) -> Detections:
     """Positions (N, K, 2) px where keypoints are expected, with likelihoods and covariances of zero."""
     n, k = xy.shape[:2]
     return Detections(xy.copy(), np.zeros((n, k)), np.zeros((n, k, 2, 2)))
-
-
-def halves(both: Detections) -> tuple[Detections, Detections]:
-    """The first and the second half of detections (2 N, K)."""
-    n = len(both.xy) // 2
-    first, second = (
-        Detections(both.xy[side], both.likelihood[side], both.covariance[side])
-        for side in (slice(n), slice(n, None))
-    )
-    return first, second
-
-
-def average_predictions(first: Detections, second: Detections, within_px: float) -> Detections:
-    """The mean of two predictions (N, K) of the same keypoints, or the likelier one where they are further apart."""
-    near = np.linalg.norm(second.xy - first.xy, axis=2) <= within_px
-    weight = np.where(near, 0.5, first.likelihood >= second.likelihood)
-    return Detections(
-        weight[..., None] * first.xy + (1 - weight[..., None]) * second.xy,
-        weight * first.likelihood + (1 - weight) * second.likelihood,
-        weight[..., None, None] * first.covariance + (1 - weight[..., None, None]) * second.covariance,
-    )
 
 
 def concatenated(parts: Sequence[Detections]) -> Detections:

@@ -17,8 +17,6 @@ class StageSettings:
         Search the whole frame for a keypoint that the region of interest does not show.
     iterative_refinement : bool
         Crop once more where a keypoint was found far from the centre of its crop.
-    shift_augmentation : bool
-        Average two crops shifted to opposite sides (test-time augmentation).
     end_regression : bool
         Correct the pose of moving ends by regression on a high-resolution crop.
     agreement_check : bool
@@ -41,7 +39,6 @@ class StageSettings:
 
     whole_frame_search: bool = True
     iterative_refinement: bool = True
-    shift_augmentation: bool = True
     end_regression: bool = True
     agreement_check: bool = True
     static_patches: bool = True

@@ -9,7 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from ...tracker.types import Detections, ImageArray
-from .coarse_to_fine import AGREEMENT_CROP_PX, Predictor, average_predictions, halves
+from .coarse_to_fine import Predictor
+
+AGREEMENT_CROP_PX = 8.0
+"""Two predictions further apart, in crop px, are not of the same thing: the likelier one is taken, not the mean."""
 
 
 class FlipAugmentedPredictor:
@@ -27,10 +30,31 @@ class FlipAugmentedPredictor:
     def __call__(self, images: ImageArray) -> Detections:
         """Predict every keypoint in images (N, 3, H, W) uint8."""
         height = images.shape[2]
-        plain, mirrored = halves(self._predictor(np.concatenate([images, images[:, :, ::-1]])))
+        plain, mirrored = _halves(self._predictor(np.concatenate([images, images[:, :, ::-1]])))
         flipped_back = Detections(
             np.stack([mirrored.xy[..., 0], height - 1 - mirrored.xy[..., 1]], axis=-1),
             mirrored.likelihood,
             mirrored.covariance * np.array([[1, -1], [-1, 1]]),
         )
         return average_predictions(plain, flipped_back, AGREEMENT_CROP_PX)
+
+
+def _halves(both: Detections) -> tuple[Detections, Detections]:
+    """The first and the second half of detections (2 N, K)."""
+    n = len(both.xy) // 2
+    first, second = (
+        Detections(both.xy[side], both.likelihood[side], both.covariance[side])
+        for side in (slice(n), slice(n, None))
+    )
+    return first, second
+
+
+def average_predictions(first: Detections, second: Detections, within_px: float) -> Detections:
+    """The mean of two predictions (N, K) of the same keypoints, or the likelier one where they are further apart."""
+    near = np.linalg.norm(second.xy - first.xy, axis=2) <= within_px
+    weight = np.where(near, 0.5, first.likelihood >= second.likelihood)
+    return Detections(
+        weight[..., None] * first.xy + (1 - weight[..., None]) * second.xy,
+        weight * first.likelihood + (1 - weight) * second.likelihood,
+        weight[..., None, None] * first.covariance + (1 - weight[..., None, None]) * second.covariance,
+    )

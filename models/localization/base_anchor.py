@@ -34,7 +34,6 @@ class BaseAnchoredEstimator(CoarseToFineEstimator):
     fixed_xy: FloatArray
     body_px: float
     calibration: Calibration
-    shift_ends: bool = True
 
     def _propose(self, frames: Frames, geometry: CropGeometry) -> Detections:
         """The best chain through the candidates in the region of interest."""

@@ -151,14 +151,12 @@ class Consensus:
         metadata : CheckpointMetadata
             This video's (`metadata_for`).
         """
-        between = range(len(metadata.keypoints))[FIXED.stop : MOVING.start]
         return BaseAnchoredEstimator(
             estimator.locator,
             estimator.refiner,
             estimator.candidates,
             end_regressor,
             estimator.stages,
-            single_view=tuple(k for k in between if metadata.keypoints[k] not in metadata.definition.points),
             fixed_xy=self.fixed_xy,
             body_px=self.body_px,
             calibration=metadata.calibration,

@@ -14,6 +14,7 @@ import torch
 from safetensors.torch import load_file
 
 from ...tracker.atomic import atomic_write_text
+from ...tracker.links import make_folder
 from ...tracker.types import Detections, Frames
 from ..inference.metadata import (
     WEIGHTS_FILE,
@@ -76,7 +77,7 @@ class Checkpoint(CheckpointMetadata):
         CheckpointError
             The weights cannot be written.
         """
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         metadata = self.to_dict()
         weights = self.network.state_dict()
         if half:

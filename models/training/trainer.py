@@ -20,6 +20,7 @@ import torch
 from ...tracker.angle import AngleDefinition, bending_angle
 from ...tracker.errors import TrainingError
 from ...tracker.interruption import stop_event
+from ...tracker.links import make_folder
 from ...tracker.types import Detections, FloatArray, LabelledFrame
 from ..data.images import frame_id
 from ..data.synthetic import rendered_frames
@@ -389,7 +390,7 @@ class _Trainer:
 
     def save_state(self) -> None:
         """Write all that a resumed training needs, and training.csv, each whole or not at all."""
-        self.folder.mkdir(parents=True, exist_ok=True)
+        make_folder(self.folder)
         save_state(self.state_file, self.state, self.networks.optimisers)
         if self.state.rows:  # none before the first evaluation
             write_rows(self.folder, self.state.rows)

@@ -169,18 +169,20 @@ class PageSession:
         self._address = server.start()
         self.problems: list[str] = []
         self.on_request: Callable[[str], object] = lambda url: None
-        # What a killed server and a conflict look like in the browser's log.
+        # What a killed server, a conflict, and a new server look like in the browser's log.
         self._expected = re.compile(
-            "ERR_(FAILED|EMPTY_RESPONSE|INCOMPLETE_CHUNKED_ENCODING|CONNECTION_(REFUSED|RESET))|409"
+            "ERR_(FAILED|EMPTY_RESPONSE|INCOMPLETE_CHUNKED_ENCODING|CONNECTION_(REFUSED|RESET))|409|401"
         )
 
     def page(self, *, pixel_ratio: float = 1) -> Labeller:
         """A new tab on the project, in the browser with a screen of that kind."""
         if pixel_ratio not in self._contexts:
-            context = self._browser.new_context(viewport=WINDOW, device_scale_factor=pixel_ratio)
-            context.set_default_timeout(20_000)
             # The address lets in one browser, once.
-            context.add_cookies([cookie for other in self._contexts.values() for cookie in other.cookies()])
+            let_in = next((other.storage_state() for other in self._contexts.values()), None)
+            context = self._browser.new_context(
+                viewport=WINDOW, device_scale_factor=pixel_ratio, storage_state=let_in
+            )
+            context.set_default_timeout(20_000)
             self._contexts[pixel_ratio] = context
         page = self._contexts[pixel_ratio].new_page()
         page.on("pageerror", lambda error: self.problems.append(str(error)))
@@ -190,6 +192,19 @@ class PageSession:
         page.wait_for_selector("#stage[data-frame]")
         self._address = self._address.partition("?")[0]
         return Labeller(page, self.server.root)
+
+    def expect(self, problems: str) -> None:
+        """Take what matches a pattern in the browser's log for expected, too."""
+        self._expected = re.compile(f"{self._expected.pattern}|{problems}")
+
+    def start_again(self) -> None:
+        """Start the server anew, and open the address that it prints in the browser, as `label` does itself."""
+        address = self.server.start()
+        for context in self._contexts.values():
+            tab = context.new_page()
+            tab.goto(address)
+            tab.wait_for_selector("#stage[data-frame]")
+            tab.close()
 
     def _heard(self, kind: str, text: str) -> None:
         if kind in ("error", "warning") and not self._expected.search(text):

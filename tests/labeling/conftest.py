@@ -20,6 +20,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from page_client import AddressSender, credential, log_in
 
 from bendtrack.labeling.serving import serve_labelling
 from bendtrack.labeling.store import LabelStore, image_name
@@ -135,11 +136,15 @@ class Page:
     port: int
     cookie: str
     client_id: str = "anna"
+    key: str = ""
     _connection: http.client.HTTPConnection | None = field(default=None, repr=False)
 
     def __call__(self, method: str, path: str, body: object = None, **headers: str | None) -> Answer:
         """One request; a header that is None is left out. Raises OSError or HTTPException when no answer comes."""
-        sent: dict[str, str | None] = {"Cookie": self.cookie}
+        sent: dict[str, str | None] = {
+            "Cookie": self.cookie,
+            "X-Bendtrack-Auth": credential(self.key, method, path),
+        }
         data = None
         if body is not None:
             data = body if isinstance(body, bytes) else json.dumps(body).encode()
@@ -193,26 +198,34 @@ class Served:
     port: int
     process: Any = None
     pages: list[Page] = field(default_factory=list)
+    addresses: list[str] = field(default_factory=list)
 
     def start(self) -> None:
-        # `ready` must be something that another process can find; what it is told is not needed, as the
-        # session's secret lies in the project.
+        here, there = _FORKS.Pipe(duplex=False)
         self.process = _FORKS.Process(
             target=serve_labelling,
             args=(self.study.project,),
-            kwargs={"port": self.port, "ready": id},
+            kwargs={"port": self.port, "ready": AddressSender(there)},
             daemon=True,
         )
         self.process.start()
+        there.close()
         deadline = time.monotonic() + 60
         while True:
             try:
                 socket.create_connection(("127.0.0.1", self.port), timeout=5).close()
-                return
+                break
             except OSError:
                 assert time.monotonic() < deadline, "the server does not listen"
                 assert self.process.is_alive(), "the server has ended"
                 time.sleep(0.02)
+        self.addresses = here.recv()
+        for page in self.pages:  # each start has a key of its own
+            self._let_in(page)
+
+    def _let_in(self, page: Page) -> None:
+        session = log_in(self.addresses.pop())
+        page.cookie, page.key = session.cookie, session.key
 
     def kill(self) -> None:
         os.kill(self.process.pid, signal.SIGKILL)
@@ -228,8 +241,8 @@ class Served:
             self.kill()
 
     def page(self, client_id: str = "anna") -> Page:
-        secret = (self.study.root / ".bendtrack" / "secret").read_text()
-        self.pages.append(Page(self.port, f"bendtrack-{self.port}={secret}", client_id))
+        self.pages.append(Page(self.port, "", client_id))
+        self._let_in(self.pages[-1])
         return self.pages[-1]
 
 

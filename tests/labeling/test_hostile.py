@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import http.client
 import json
+import signal
 import socket
 import subprocess
 import uuid
@@ -10,6 +12,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from page_client import credential, log_in, signature, signed_address
+
+from bendtrack.labeling.event_stream import MAX_STREAMS
 
 SECRET = b"what lies outside the project"
 POINTS = {"base_1": [10.25, 20.5], "base_2": [30.0, 20.75], "tip_1": [50.125, 30.0], "tip_2": [60.0, 45.375]}
@@ -162,6 +167,102 @@ class TestWhoIsLetIn:
             assert headers["x-frame-options"] == "DENY"
             assert "access-control-allow-origin" not in headers
             assert "server" not in headers
+
+
+@pytest.mark.usefixtures("unchanged")
+class TestWhoHasOnlyTheCookie:
+    """A browser sends the cookie to every port of this machine, so whoever listens on one may have it."""
+
+    @pytest.mark.parametrize(
+        "path",
+        ["/api/project", "/api/frames", "/api/events", "/api/summary", "/api/key", "/api/proof", "/api/x"],
+    )
+    def test_it_opens_nothing_of_the_project(self, hostile_study, path) -> None:
+        _, page = hostile_study
+        assert page("GET", "/page/main.js", X_Bendtrack_Auth=None).status == 200
+        refused(page("GET", path, X_Bendtrack_Auth=None), 401)
+
+    def test_it_changes_nothing(self, hostile_study) -> None:
+        study, page = hostile_study
+        refused(page("PUT", study.address(0), an_edit(page, study), X_Bendtrack_Auth=None), 401)
+        undo = {"edit_id": str(uuid.uuid4()), "client_id": "anna"}
+        refused(page("POST", "/api/undo", undo, X_Bendtrack_Auth=None), 401)
+
+    def test_it_shows_no_image(self, hostile_study) -> None:
+        study, page = hostile_study
+        listed = page.get("/api/frames")["frames"]
+        for kind in ("image_url", "thumb_url"):
+            address = listed[0][kind]
+            assert (
+                page("GET", address, X_Bendtrack_Auth=None).status == 200
+            )  # signed by the server for this image
+            refused(page("GET", address, X_Bendtrack_Auth=None, Cookie=None), 401)
+            unsigned, _, sig = address.partition("&sig=")
+            other = listed[1][kind].partition("&sig=")[0]
+            for forged in (unsigned, f"{other}&sig={sig}", address[:-1], f"{address}&sig=", f"{address}&x=1"):
+                refused(page("GET", forged, X_Bendtrack_Auth=None), 401)
+        refused(page("PUT", signed_address(page.key, study.address(0)), {}, X_Bendtrack_Auth=None), 401)
+
+    @pytest.mark.parametrize(
+        "forge", ["another address", "another method", "another key", "no nonce", "cut", "twice"]
+    )
+    def test_a_signature_is_for_one_request(self, hostile_study, forge) -> None:
+        _, page = hostile_study
+        good = credential(page.key, "GET", "/api/frames")
+        value = {
+            "another address": credential(page.key, "GET", "/api/project"),
+            "another method": credential(page.key, "PUT", "/api/frames"),
+            "another key": credential("a" * 43, "GET", "/api/frames"),
+            "no nonce": "." + signature(page.key, "page", "", "GET", "/api/frames"),
+            "cut": good[:-1],
+            "twice": f"{good}, {good}",
+        }[forge]
+        assert page("GET", "/api/frames", X_Bendtrack_Auth=good).status == 200
+        refused(page("GET", "/api/frames", X_Bendtrack_Auth=value), 401)
+
+    def test_an_answer_without_a_signature_is_no_proof(self, hostile_study) -> None:
+        _, page = hostile_study
+        assert "x-bendtrack-proof" not in page("GET", "/api/frames", X_Bendtrack_Auth=None).headers
+        for path, status in (("/api/frames", 200), ("/api/proof", 204), ("/api/nothing", 404)):
+            sent = credential(page.key, "GET", path)
+            answer = page("GET", path, X_Bendtrack_Auth=sent)
+            proof = signature(page.key, "server", sent.partition(".")[0], str(status))
+            assert (answer.status, answer.headers["x-bendtrack-proof"]) == (status, proof)
+
+
+def test_the_address_gives_the_key_once_and_the_key_is_in_no_cookie(study, serve) -> None:
+    served = serve(study)
+    address = served.addresses[-1]
+    page = served.page()
+    assert page.key not in page.cookie
+    claim = address.partition("#claim=")[2]
+    refused(page("GET", "/api/key", X_Bendtrack_Auth=credential(claim, "GET", "/api/key")), 401)
+    refused(page("GET", f"/?{address.partition('?')[2].partition('#')[0]}", Cookie=None), 403)
+
+
+def test_a_new_server_accepts_nothing_of_the_one_before(study, serve) -> None:
+    served = serve(study)
+    page = served.page()
+    old_cookie, old_key, unused = page.cookie, page.key, served.addresses[-1]
+    image = page.get("/api/frames")["frames"][0]["image_url"]
+    served.kill()
+    page.hang_up()
+    served.start()
+    new_cookie, new_key = page.cookie, page.key
+    page.key = old_key
+    refused(page("GET", "/api/frames"), 401)
+    refused(page("GET", image, X_Bendtrack_Auth=None), 401)
+    refused(page("PUT", study.address(0), {}), 401)
+    page.key, page.cookie = new_key, old_cookie
+    refused(page("GET", "/"), 401)
+    refused(page("GET", "/api/frames"), 401)
+    page.cookie = new_cookie
+    assert page("GET", "/api/frames").status == 200
+    with pytest.raises(AssertionError, match="403"):
+        log_in(unused)
+    files = [path for path in (study.root / ".bendtrack").iterdir() if path.is_file()]
+    for secret in (old_key, new_key, old_cookie.partition("=")[2], new_cookie.partition("=")[2]):
+        assert not any(secret.encode() in file.read_bytes() for file in files)
 
 
 OUTSIDE = [
@@ -361,6 +462,7 @@ class TestBodies:
         head = (
             f"PUT {study.address(0)} HTTP/1.1\r\nHost: 127.0.0.1:{page.port}\r\nCookie: {page.cookie}\r\n"
             f"Origin: http://127.0.0.1:{page.port}\r\nX-Bendtrack: 1\r\nContent-Type: application/json\r\n"
+            f"X-Bendtrack-Auth: {credential(page.key, 'PUT', study.address(0))}\r\n"
             "Transfer-Encoding: chunked\r\n\r\n"
         ).encode()
         chunk = b"4000\r\n" + b" " * 0x4000 + b"\r\n"
@@ -375,6 +477,39 @@ class TestBodies:
             f"Content-Length: {length}\r\n\r\n{{}}"
         ).encode()
         assert raw(page, head).split(b" ")[1].startswith(b"4")
+
+    @pytest.mark.parametrize(
+        ("method", "fields"),
+        [
+            ("PUT", "Content-Length: {n}\r\nTransfer-Encoding: chunked"),
+            ("PUT", "Transfer-Encoding: chunked\r\nContent-Length: {n}"),
+            ("PUT", "Content-Length: 0\r\nTransfer-Encoding: chunked"),
+            ("PUT", "Content-Length: {n}\r\nContent-Length: 3"),
+            ("PUT", "Content-Length: {n}, 3"),
+            ("PUT", "Transfer-Encoding: chunked\r\nTransfer-Encoding: chunked"),
+            ("PUT", "Transfer-Encoding: chunked, identity"),
+            ("PUT", "Transfer-Encoding: xchunked\r\nContent-Length: {n}"),
+            ("PUT", "Content-Length : {n}"),
+            ("PUT", "Content-Length: +{n}"),
+            ("PUT", "Transfer-Encoding:\x0bchunked"),
+            ("GET", "Content-Length: {n}"),
+            ("GET", "Transfer-Encoding: chunked"),
+        ],
+    )
+    def test_a_body_whose_end_is_in_doubt(self, hostile_study, method, fields) -> None:
+        study, page = hostile_study
+        body = json.dumps(an_edit(page, study))
+        body = f"{len(body):x}\r\n{body}\r\n0\r\n\r\n"
+        address = study.address(0)
+        request = (
+            f"{method} {address} HTTP/1.1\r\nHost: 127.0.0.1:{page.port}\r\nCookie: {page.cookie}\r\n"
+            f"Origin: http://127.0.0.1:{page.port}\r\nX-Bendtrack: 1\r\nContent-Type: application/json\r\n"
+            f"X-Bendtrack-Auth: {credential(page.key, method, address)}\r\n"
+            f"{fields.format(n=len(body))}\r\n\r\n{body}"
+        ).encode()
+        reply = raw(page, request)
+        assert reply.split(b" ")[1] in (b"400", b"501"), reply
+        assert reply.count(b"HTTP/1.1") == 1  # the rest is not taken for a second request
 
     def test_headers_that_never_end(self, hostile_study) -> None:
         _, page = hostile_study
@@ -411,6 +546,53 @@ def raw(page, request: bytes) -> bytes:
         except ConnectionResetError:
             pass
         return reply
+
+
+def test_silent_connections_keep_nobody_out_and_fill_no_log(study, bendtrack) -> None:
+    process = subprocess.Popen(
+        ["sh", "-c", 'ulimit -n 200; exec "$0" "$@"', bendtrack.command, "label", study.root, "--no-browser"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    silent = []
+    try:
+        assert process.stdout is not None
+        session = log_in(process.stdout.readline().split()[-1])
+        for count in range(300):
+            silent.append(socket.create_connection(("127.0.0.1", session.port), timeout=5))
+            if count % 3 == 0:
+                silent[-1].sendall(b"GET / HTTP/1.1\r\nX-A: ")
+            if count % 50 == 49:
+                page = http.client.HTTPConnection("127.0.0.1", session.port, timeout=10)
+                page.request("GET", "/api/project", headers=session.headers("GET", "/api/project"))
+                assert page.getresponse().status == 200
+                page.close()
+    finally:
+        process.send_signal(signal.SIGINT)
+        for connection in silent:
+            connection.close()
+        _, err = process.communicate(timeout=20)
+    assert err == ""
+
+
+def test_event_streams_are_few_and_the_newest_count(study, serve) -> None:
+    page = serve(study).page()
+    connections, streams = [], []
+    for _ in range(MAX_STREAMS + 2):
+        connections.append(http.client.HTTPConnection("127.0.0.1", page.port, timeout=10))
+        address = signed_address(page.key, "/api/events")
+        connections[-1].request("GET", address, headers={"Cookie": page.cookie})
+        streams.append(connections[-1].getresponse())
+        assert b"hello" in streams[-1].readline()
+    for oldest in streams[:2]:
+        oldest.read()  # it has ended
+    assert page.put(0, note="heard").status == 200
+    while b"changed" not in streams[-1].readline():
+        pass
+    for stream, connection in zip(streams, connections, strict=True):
+        stream.close()
+        connection.close()
 
 
 def test_after_all_of_it_the_page_works(hostile_study) -> None:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from page_client import log_in
 
 from bendtrack.labeling.annotations import Annotations
 from bendtrack.labeling.frame_state import FrameState
@@ -151,21 +152,18 @@ def test_the_command_shows_a_trained_networks_suggestions(trained_project, bendt
         assert process.stdout is not None
         address = process.stdout.readline().split()[-1]
         connection = http.client.HTTPConnection(address.split("/")[2], timeout=60)
+        session = log_in(address)
 
-        def get(path: str, cookie: str) -> http.client.HTTPResponse:
-            connection.request("GET", path, headers={"Cookie": cookie})
+        def get(path: str) -> http.client.HTTPResponse:
+            connection.request("GET", path, headers=session.headers("GET", path))
             return connection.getresponse()
 
-        opened = get("/" + address.split("/")[-1], "")
-        cookie = str(opened.getheader("Set-Cookie")).split(";")[0]
-        opened.read()
-
         def listed() -> dict[str, object]:
-            return json.loads(get("/api/frames", cookie).read())
+            return json.loads(get("/api/frames").read())
 
         until(lambda: listed()["model"]["state"] == "ready")
         assert listed()["model"] == {"name": "model", "state": "ready", "reason": "", "done": 10, "total": 10}
-        found = json.loads(get("/api/frames/arm/img00000.png", cookie).read())
+        found = json.loads(get("/api/frames/arm/img00000.png").read())
         connection.close()
     finally:
         process.kill()

@@ -13,6 +13,7 @@ import uuid
 import cv2
 import numpy as np
 import pytest
+from page_client import credential, log_in
 
 POINTS = {"base_1": [10.25, 20.5], "base_2": [30.0, 20.75], "tip_1": [50.125, 30.0], "tip_2": [60.0, 45.375]}
 
@@ -281,7 +282,11 @@ def test_suggestions_lie_between_the_labelled_neighbours(study, page) -> None:
 def test_pages_hear_of_each_other_and_of_other_programs(study, page) -> None:
     page.put(0, points=POINTS)
     stream = http.client.HTTPConnection("127.0.0.1", page.port, timeout=20)
-    stream.request("GET", "/api/events", headers={"Cookie": page.cookie})
+    stream.request(
+        "GET",
+        "/api/events",
+        headers={"Cookie": page.cookie, "X-Bendtrack-Auth": credential(page.key, "GET", "/api/events")},
+    )
     events = stream.getresponse()
 
     def heard() -> dict[str, object]:
@@ -330,6 +335,99 @@ def test_labels_that_cannot_be_read_are_said_and_not_overwritten(study, page) ->
     assert page.put(0, points={"tip_2": [1, 1]}).status == 200
 
 
+AWAY = {
+    "renamed": lambda root: root.rename(root.with_name("elsewhere")),
+    "an empty mount point": lambda root: (root.rename(root.with_name("elsewhere")), root.mkdir()),
+    "another project": lambda root: (
+        root.rename(root.with_name("elsewhere")),
+        shutil.copytree(root.with_name("elsewhere"), root, ignore=shutil.ignore_patterns(".bendtrack")),
+    ),
+    "no settings": lambda root: shutil.copytree(
+        root.rename(root.with_name("elsewhere")), root, ignore=shutil.ignore_patterns("bendtrack.toml")
+    ),
+    "no labeled-data": lambda root: (root / "labeled-data").rename(root.with_name("elsewhere")),
+}
+
+
+@pytest.mark.parametrize("away", AWAY)
+def test_while_the_folder_is_away_nothing_is_lost_or_written(study, page, away) -> None:
+    page.put(0, points=POINTS)
+    edit = {
+        "edit_id": str(uuid.uuid4()),
+        "client_id": "anna",
+        "base_revision": page.get(study.address(1))["revision"],
+        "points": POINTS,
+    }
+    AWAY[away](study.root)
+    there = {path: path.read_bytes() for path in study.root.rglob("*") if path.is_file()}
+    for method, path, body in (
+        ("PUT", study.address(1), edit),
+        ("GET", study.address(1), None),
+        ("GET", "/api/frames", None),
+        ("GET", "/api/summary", None),
+        ("POST", "/api/undo", {"edit_id": str(uuid.uuid4()), "client_id": "anna"}),
+    ):
+        answer = page(method, path, body)
+        assert (answer.status, bool(answer.json["reason"])) == (503, True), (method, path, answer)
+    assert {path: path.read_bytes() for path in study.root.rglob("*") if path.is_file()} == there
+    # It comes back, and the same edit is sent again.
+    if away == "no labeled-data":
+        study.root.with_name("elsewhere").rename(study.root / "labeled-data")
+    else:
+        if study.root.exists():
+            shutil.rmtree(study.root)
+        study.root.with_name("elsewhere").rename(study.root)
+    assert page("PUT", study.address(1), edit).status == 200
+    assert study.saved()[study.image(1)] == POINTS
+    assert page.step("undo").json["frame"]["id"] == study.id(1)
+
+
+def test_a_drive_that_comes_back_under_other_numbers_is_the_same(study, page) -> None:
+    copy = shutil.copytree(study.root, study.root.with_name("copy"))  # another inode, as on another mount
+    study.root.rename(study.root.with_name("elsewhere"))
+    copy.rename(study.root)
+    assert page.put(0, points=POINTS).status == 200
+    assert study.saved() == {study.image(0): POINTS}
+
+
+def test_a_private_folder_that_is_deleted_is_made_anew(study, page) -> None:
+    page.put(0, points=POINTS)
+    shutil.rmtree(study.root / ".bendtrack")
+    assert page.put(1, points=POINTS).status == 200
+    assert set(study.saved()) == {study.image(0), study.image(1)}
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda study: (study.root / ".bendtrack" / "journal.jsonl").mkdir(),
+        lambda study: (study.root / ".bendtrack" / "journal.jsonl").symlink_to(study.root.parent / "rc"),
+        lambda study: study.csv.mkdir(),
+        lambda study: (study.folder / "bendtrack-notes.json").mkdir(),
+    ],
+    ids=["journal is a folder", "journal is a link", "labels are a folder", "notes are a folder"],
+)
+def test_what_cannot_be_written_is_503(study, page, spoil) -> None:
+    (study.root.parent / "rc").write_text("mine\n")
+    edit = {
+        "edit_id": str(uuid.uuid4()),
+        "client_id": "anna",
+        "base_revision": page.get(study.address(1))["revision"],
+        "points": POINTS,
+        "note": "n",
+    }
+    spoil(study)
+    answer = page("PUT", study.address(1), edit)
+    assert (answer.status, bool(answer.json["reason"])) == (503, True)
+    assert (study.root.parent / "rc").read_text() == "mine\n"
+
+
+def test_an_image_that_is_gone_is_404(study, page) -> None:
+    (study.folder / study.image(1)).unlink()
+    body = {"edit_id": str(uuid.uuid4()), "client_id": "anna", "base_revision": 0, "points": POINTS}
+    assert page("PUT", study.address(1), body).status == 404
+
+
 def test_the_summary_says_what_the_labels_are_worth(study, page) -> None:
     nothing = page.get("/api/summary")
     assert nothing["spread"] is None
@@ -368,9 +466,11 @@ def test_the_command_serves_and_comes_back_where_it_was(study, bendtrack) -> Non
         assert process.stdout is not None
         return process, process.stdout.readline().split()[-1]
 
-    def get(address: str, cookie: str = "") -> http.client.HTTPResponse:
+    def get(address: str, cookie: str = "", key: str = "") -> http.client.HTTPResponse:
         connection = http.client.HTTPConnection(address.split("/")[2], timeout=20)
-        connection.request("GET", "/" + address.split("/", 3)[3], headers={"Cookie": cookie})
+        path = "/" + address.partition("#")[0].split("/", 3)[3]
+        headers = {"Cookie": cookie, "X-Bendtrack-Auth": credential(key, "GET", path)}
+        connection.request("GET", path, headers=headers)
         answer = connection.getresponse()
         answer.read()
         connection.close()
@@ -378,11 +478,9 @@ def test_the_command_serves_and_comes_back_where_it_was(study, bendtrack) -> Non
 
     process, address = start()
     try:
-        opened = get(address)
-        assert (opened.status, opened.getheader("Location")) == (303, "/")
-        cookie = str(opened.getheader("Set-Cookie")).split(";")[0]
+        first = log_in(address)
         frames = address.split("?")[0] + "api/frames"
-        assert get(frames, cookie).status == 200
+        assert get(frames, first.cookie, first.key).status == 200
         assert get(address).status == 403  # the token is used up
         process.kill()
         process.wait(20)
@@ -390,9 +488,13 @@ def test_the_command_serves_and_comes_back_where_it_was(study, bendtrack) -> Non
         process, again = start()
         assert again.split("?")[0] == address.split("?")[0]
         assert again != address
-        assert get(frames, cookie).status == 200  # the page goes on with what it has
+        assert get(frames, first.cookie, first.key).status == 401  # each start has a key of its own
+        session = log_in(again)
+        assert get(frames, session.cookie, first.key).status == 401
+        assert get(frames, first.cookie, session.key).status == 401
+        assert get(frames, session.cookie, session.key).status == 200
         listening = http.client.HTTPConnection(address.split("/")[2], timeout=20)
-        listening.request("GET", "/api/events", headers={"Cookie": cookie})
+        listening.request("GET", "/api/events", headers=session.headers("GET", "/api/events"))
         events = listening.getresponse()
         process.send_signal(signal.SIGINT)
         assert b"hello" in events.read()  # a page that listens is let go

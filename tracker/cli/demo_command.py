@@ -107,8 +107,9 @@ def sample_folder() -> Path:
 
 def _copy_sample(trial: Path) -> None:
     from ..atomic import atomic_write_bytes
+    from ..links import make_folder
 
-    trial.mkdir(parents=True, exist_ok=True)
+    make_folder(trial)
     for name in _SAMPLE:
         data = (sample_folder() / name).read_bytes()
         if not (trial / name).is_file() or (trial / name).read_bytes() != data:

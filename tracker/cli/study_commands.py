@@ -70,12 +70,13 @@ def _write_first(folder: Path) -> None:
 
 def _analyse(path: Path, out: Path | None) -> None:
     from ...studies import analyse_file
+    from ..links import make_folder
     from ..study.report import write_report
     from ..study.study_file import read_study
     from .reporter import ConsoleReporter
 
     folder = out or read_study(path).root / f"{path.stem}-report"
-    folder.mkdir(parents=True, exist_ok=True)  # now, not after a minute
+    make_folder(folder)  # now, not after a minute
     analysed = analyse_file(path, ConsoleReporter())
     study, trials, problems = analysed.study, analysed.trials, analysed.problems
     if analysed.results is not None:

@@ -23,6 +23,7 @@ import pandas as pd
 
 from ..atomic import atomic_write_text
 from ..errors import ResultsError, reason
+from ..links import make_folder
 from ..results import json_ready
 from .analysis import StudyResults
 from .findings import main_findings
@@ -99,7 +100,7 @@ def write_report(
     out = Path(out_dir)
     try:
         for folder in ("figures/trials", "tables"):
-            (out / folder).mkdir(parents=True, exist_ok=True)
+            make_folder(out / folder)
     except OSError as error:
         raise ResultsError(f"{out}: cannot be written ({reason(error)})") from error
     styles = design_styles((name, design.label, design.colour) for name, design in study.designs.items())

@@ -20,8 +20,6 @@ from spots import (
 
 from bendtrack.models.inference.coarse_to_fine import (
     CoarseToFineEstimator,
-    Estimate,
-    average_predictions,
     predicted_at,
 )
 from bendtrack.models.inference.crops import CropGeometry
@@ -44,52 +42,6 @@ def test_covariances_are_mapped_back_to_the_frame(
     # The tip's crop is turned by 90 degrees here and magnified 1.5 times: its x is the frame's y.
     found = estimator.refine(frame_of(arms(np.array([90.0]))[0])[None], arms(np.array([90.0])), GEOMETRY)
     np.testing.assert_allclose(found.covariance[0, 2], np.diag([1.0, 4.0]) / 1.5**2, atol=0.02)
-
-
-def test_shift_augmentation_cancels_a_pull_toward_the_crop_centre(metadata: CheckpointMetadata) -> None:
-    """A network whose predictions are pulled toward the centre of the crop."""
-
-    class PulledToTheCentre(SpotPredictor):
-        def __call__(self, images: np.ndarray) -> Detections:
-            found = super().__call__(images)
-            middle = (images.shape[2] - 1) / 2
-            return Detections(middle + 0.8 * (found.xy - middle), found.likelihood, found.covariance)
-
-    truth = arms(np.linspace(0, 330, 12))
-    frames = np.stack([frame_of(xy) for xy in truth])
-    for off_px in (0.0, 1.0, 3.0):
-        found = CoarseToFineEstimator(SpotPredictor(), PulledToTheCentre()).refine(
-            frames, truth + off_px, GEOMETRY
-        )
-        # One crop 3 px off would leave 0.2 * 3 px, and a second one around its result 0.2 * 0.6 px.
-        np.testing.assert_allclose(found.xy, truth, atol=0.06 + 0.04 * off_px)
-
-
-def test_single_view_keypoints_are_not_averaged_over_shifted_crops(
-    estimator: CoarseToFineEstimator, metadata: CheckpointMetadata
-) -> None:
-    truth = arms(np.array([20.0, 65.0]))
-    frames = [frame_of(xy) for xy in truth]
-    single = CoarseToFineEstimator(SpotPredictor(), SpotPredictor(), single_view=(1,))
-    one, other = (own.refine(frames, truth, GEOMETRY) for own in (estimator, single))
-    # One of three keypoints needs two crops fewer in each of two frames.
-    assert estimator.refiner.shown - single.refiner.shown == 2 * 2
-    np.testing.assert_array_equal(one.xy[:, [0, 2]], other.xy[:, [0, 2]])
-    np.testing.assert_allclose(other.xy[:, 1], truth[:, 1], atol=0.1)
-
-
-def test_of_two_distant_predictions_the_likelier_is_taken() -> None:
-    one, other = (
-        Detections(np.full((1, 2, 2), x), np.array([[0.8, 0.4]]), np.full((1, 2, 2, 2), x))
-        for x in (10.0, 13.0)
-    )
-    both = average_predictions(one, other, 8.0)
-    np.testing.assert_array_equal(both.xy, np.full((1, 2, 2), 11.5))
-    far = Detections(other.xy + 20.0, np.array([[0.5, 0.6]]), other.covariance)
-    both = average_predictions(one, far, 8.0)
-    np.testing.assert_array_equal(both.xy[0, :, 0], [10.0, 33.0])
-    np.testing.assert_array_equal(both.likelihood, [[0.8, 0.6]])
-    np.testing.assert_array_equal(both.covariance[0, :, 0, 0], [10.0, 13.0])
 
 
 def test_a_keypoint_on_which_both_networks_disagree_is_unlikely(metadata: CheckpointMetadata) -> None:
@@ -123,9 +75,9 @@ def test_end_regression_moves_an_end_by_the_predicted_step(
         half = 22.5 * np.array([np.cos(turn + 0.1), np.sin(turn + 0.1)])
         middle = truth[i, 1:].mean(axis=0) + along - 2 * across
         np.testing.assert_allclose(found.xy[i, 1:], [middle - half, middle + half], atol=0.25)
-    # Other keypoints are averaged over shifted crops; an end has one crop and one high-resolution crop.
+    # Other keypoints stay; an end has one crop and one high-resolution crop.
     np.testing.assert_allclose(found.xy[:, 0], plain.xy[:, 0], atol=1e-9)
-    assert crops - regressed.refiner.shown == 2 * 2 * 2
+    assert regressed.refiner.shown == crops
     assert [shown.shape for shown in regressor.shown] == [(3, 128, 128)] * 2
     # The high-resolution crop lies along the end: one spot at its left, the other at its right.
     for shown in regressor.shown:
@@ -191,16 +143,7 @@ def test_stage_iterative_refinement(estimator: CoarseToFineEstimator) -> None:
     off = without(estimator, "iterative_refinement")
     for own in (estimator, off):
         own.refine([frame_of(truth[0])], truth + 3.0, GEOMETRY)
-    assert (estimator.refiner.shown, off.refiner.shown) == (3 + 3 + 6, 3 + 6)
-
-
-def test_stage_shift_augmentation(estimator: CoarseToFineEstimator) -> None:
-    truth = arms(np.array([20.0]))
-    off = without(estimator, "shift_augmentation")
-    for own in (estimator, off):
-        found = own.refine([frame_of(truth[0])], truth, GEOMETRY)
-        np.testing.assert_allclose(found.xy, truth, atol=0.15)
-    assert (estimator.refiner.shown, off.refiner.shown) == (3 + 6, 3)
+    assert (estimator.refiner.shown, off.refiner.shown) == (3 + 3, 3)
 
 
 def test_stage_end_regression(estimator: CoarseToFineEstimator) -> None:
@@ -223,8 +166,7 @@ def test_stage_agreement_check(estimator: CoarseToFineEstimator) -> None:
     assert (unchecked.likelihood == 0.8).all()
 
 
-@pytest.mark.parametrize("shift_ends", [False, True])
-def test_no_stage_writes_into_its_argument(shift_ends: bool, metadata: CheckpointMetadata) -> None:
+def test_no_stage_writes_into_its_argument(metadata: CheckpointMetadata) -> None:
     truth = arms(np.array([20.0, 65.0]))
     frames = np.stack([frame_of(xy) for xy in truth])
     geometry = CropGeometry(RegionOfInterest(SIZE_WH, 100, 60, 100, 80, 0.5, 1.5), GEOMETRY.reference)
@@ -232,18 +174,16 @@ def test_no_stage_writes_into_its_argument(shift_ends: bool, metadata: Checkpoin
         ReadOnlyPredictor(),
         ReadOnlyPredictor(),
         end_regressor=ConstantRegressor(0.5, 0.5, 0.01),
-        shift_ends=shift_ends,
     )
     expected, wanted = read_only(predicted_at(truth + 3.0)), np.ones((2, 3), bool)
     wanted[0, 0] = False
     for array in (frames, wanted):
         array.setflags(write=False)
-    estimate = Estimate(expected, wanted)
-    for stage in (estimator.crop_and_predict, estimator.average_shifted, estimator.regress_ends):
-        changed = stage(frames, estimate, geometry)
-        assert not np.array_equal(changed.found.xy, expected.xy)
-        np.testing.assert_array_equal(changed.found.xy[0, 0], expected.xy[0, 0])
-    # Where no keypoint is pending nothing is looked at, and the arguments may be returned as they are.
+    for stage in (estimator.crop_and_predict, estimator.regress_ends):
+        changed = stage(frames, expected, geometry, wanted)
+        assert not np.array_equal(changed.xy, expected.xy)
+        np.testing.assert_array_equal(changed.xy[0, 0], expected.xy[0, 0])
+    # Where no keypoint is wanted nothing is looked at, and the arguments may be returned as they are.
     assert estimator.refine(frames, expected, geometry, np.zeros((2, 3), bool)) is expected
     for given in (expected, expected.xy):
         estimator.refine(frames, given, geometry, wanted)

@@ -49,7 +49,7 @@ def test_a_stage_that_is_off_is_named(name: str) -> None:
 
 def test_names_are_in_the_order_in_which_a_frame_meets_them() -> None:
     names = StageSettings.names()
-    assert names[:3] == ("whole_frame_search", "iterative_refinement", "shift_augmentation")
+    assert names[:3] == ("whole_frame_search", "iterative_refinement", "end_regression")
     assert len(set(names)) == len(names)
     off = StageSettings(**dict.fromkeys(reversed(names), False)).off()
     assert off == names

@@ -218,9 +218,9 @@ def test_stage_static_patches(estimator: CoarseToFineEstimator, metadata: Checkp
     off = without(estimator, "static_patches")
     for own in (estimator, off):
         KeypointTracker(own, metadata).detect(frames)
-    # Each prediction takes one crop and two shifted ones for each of three keypoints.
-    assert off.refiner.shown == 9 * len(frames)
-    assert estimator.refiner.shown <= 9 * (1 + REST_PREDICTIONS + FRAMES_AHEAD)
+    # Each prediction takes one crop for each of three keypoints.
+    assert off.refiner.shown == 3 * len(frames)
+    assert estimator.refiner.shown <= 3 * (1 + REST_PREDICTIONS + FRAMES_AHEAD)
 
 
 def test_stage_backward_pass(metadata: CheckpointMetadata) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bendtrack.models.inference.tta import FlipAugmentedPredictor
+from bendtrack.models.inference.tta import FlipAugmentedPredictor, average_predictions
 from bendtrack.tracker.types import Detections, ImageArray
 
 
@@ -43,3 +43,17 @@ def test_of_two_distant_predictions_the_likelier_is_taken() -> None:
         found = predictor(image_of(20, 30, top, bottom))
         np.testing.assert_allclose(found.xy[0, 0], (20, y))
         np.testing.assert_allclose(found.likelihood[0, 0], 250 / 255)
+
+
+def test_average_of_two_predictions_is_their_mean_or_the_likelier() -> None:
+    one, other = (
+        Detections(np.full((1, 2, 2), x), np.array([[0.8, 0.4]]), np.full((1, 2, 2, 2), x))
+        for x in (10.0, 13.0)
+    )
+    both = average_predictions(one, other, 8.0)
+    np.testing.assert_array_equal(both.xy, np.full((1, 2, 2), 11.5))
+    far = Detections(other.xy + 20.0, np.array([[0.5, 0.6]]), other.covariance)
+    both = average_predictions(one, far, 8.0)
+    np.testing.assert_array_equal(both.xy[0, :, 0], [10.0, 33.0])
+    np.testing.assert_array_equal(both.likelihood, [[0.8, 0.6]])
+    np.testing.assert_array_equal(both.covariance[0, :, 0, 0], [10.0, 13.0])
