@@ -84,8 +84,6 @@ class MotionEvidence:
         A body at rest where it rests most of the time does not differ from the background, but it does whenever it is
         away: such places count by `recurring`.
         """
-        if not self.is_known:
-            return np.ones(xy.shape[:-1])
         h, w = self.recurring.shape
         shake = self.shake_px.reshape(-1, *[1] * (xy.ndim - 2), 2)
         place = np.nan_to_num((xy + 0.5) * self.scale - 0.5 - shake)

@@ -21,7 +21,7 @@ from ..inference.metadata import LONGER, SHORTER, CheckpointMetadata
 from ..inference.roi import RegionOfInterest, region_of_interest
 from .base_anchor import BaseAnchoredEstimator
 from .chain_assembly import assemble_chain, likeliest_points
-from .motion import motion_evidence
+from .motion import MotionEvidence, motion_evidence
 
 FIRST_SIDES = (96, 128, 192, 256)
 """Input px of a whole frame's long side in the first search: actuators fill a fifth of a frame, or nearly all of it."""
@@ -228,17 +228,36 @@ def multi_frame_consensus(
     VideoError
         Too little is seen.
     """
+    motion = motion_evidence(probe_frames)
+    if not motion.is_known:
+        return _consensus(probe_frames, metadata, estimator, None)
+    try:
+        return _consensus(probe_frames, metadata, estimator, motion)
+    except VideoError:
+        # What moves is no actuator: hands at work, say, next to one that rests.
+        return _consensus(probe_frames, metadata, estimator, None)
+
+
+def _consensus(
+    probe_frames: Frames,
+    metadata: CheckpointMetadata,
+    estimator: CoarseToFineEstimator,
+    motion: MotionEvidence | None,
+) -> Consensus:
+    """The consensus of the chains that fit what moves; of any where no motion is given."""
     h, w = probe_frames[0].shape[:2]
     likelihood = metadata.calibration.likelihood
-    motion = motion_evidence(probe_frames)
+
+    def candidates(region: RegionOfInterest) -> tuple[FloatArray, FloatArray, FloatArray]:
+        xy, peak = estimator.candidate_peaks(probe_frames, region)
+        return xy, likelihood(peak), np.ones(peak.shape) if motion is None else motion.at(xy)
 
     def search(region: RegionOfInterest) -> RegionView:
-        xy, peak = estimator.candidate_peaks(probe_frames, region)
-        return _view_of(region, *likeliest_points(xy, likelihood(peak), motion.at(xy)))
+        return _view_of(region, *likeliest_points(*candidates(region)))
 
     def search_chains(region: RegionOfInterest, fixed_xy: FloatArray | None, body_px: float) -> RegionView:
-        xy, peak = estimator.candidate_peaks(probe_frames, region)
-        return _view_of(region, *assemble_chain(xy, likelihood(peak), fixed_xy, body_px, motion.at(xy)))
+        xy, peaks, moving = candidates(region)
+        return _view_of(region, *assemble_chain(xy, peaks, fixed_xy, body_px, moving))
 
     whole = [RegionOfInterest((w, h), 0, 0, w, h, min(1.0, side / max(w, h)), 1.0) for side in FIRST_SIDES]
     best = max((search(region) for region in whole), key=lambda view: view.score)

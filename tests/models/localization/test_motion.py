@@ -142,7 +142,6 @@ def test_where_nothing_moves_nothing_is_said() -> None:
     still[4] *= 0.8
     found = motion_evidence(encoded(still))
     assert not found.is_known
-    assert (found.at(np.broadcast_to(TUBE, (FRAMES, 3, 2))) == 1).all()
 
 
 @pytest.mark.parametrize("frames", [1, 2, 3])
