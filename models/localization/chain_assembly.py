@@ -25,12 +25,19 @@ MIN_TURN_COS = 0.2
 TURN_PENALTY = 10.0
 """Cost of each unit of cosine below that, in log likelihood: a chain never turns right back."""
 
+RESTING = 0.05
+"""Factor on the likelihood of a moving end where nothing ever moves."""
+
 MIN_PEAK = 1e-3
 """Peaks are not taken for lower, so that one unseen keypoint does not decide alone."""
 
 
 def assemble_chain(
-    xy: FloatArray, likelihood: FloatArray, fixed_xy: FloatArray, body_px: float
+    xy: FloatArray,
+    likelihood: FloatArray,
+    fixed_xy: FloatArray | None,
+    body_px: float,
+    motion: FloatArray | float = 1.0,
 ) -> tuple[FloatArray, FloatArray]:
     """The best chains through candidate peaks, from the fixed end on, whichever end the network took for it.
 
@@ -40,18 +47,22 @@ def assemble_chain(
         M candidate positions of each keypoint, px, in the order of the chain, K > 2.
     likelihood : ndarray of float, shape (N, K, M)
         In [0, 1].
-    fixed_xy : ndarray of float, shape (2,)
-        The fixed end, px.
+    fixed_xy : ndarray of float, shape (2,), or None
+        The fixed end, px; None where it is not known.
     body_px : float
         Length of the body, px.
+    motion : ndarray of float, shape (N, K, M), optional
+        In [0, 1], how certainly something moves at each candidate (`motion.MotionEvidence.at`).
 
     Returns
     -------
     xy : ndarray of float, shape (N, K, 2)
     likelihood : ndarray of float, shape (N, K)
     """
-    forward = _best_chain(xy, likelihood, fixed_xy, body_px)
-    backward = _best_chain(xy[:, ::-1], likelihood[:, ::-1], fixed_xy, body_px)
+    moving = _of_moving_chain(likelihood, motion)
+    forward = _best_chain(xy, moving, fixed_xy, body_px)
+    moving = _of_moving_chain(likelihood[:, ::-1], np.broadcast_to(motion, likelihood.shape)[:, ::-1])
+    backward = _best_chain(xy[:, ::-1], moving, fixed_xy, body_px)
     better = forward[2] >= backward[2]
     return (
         np.where(better[:, None, None], forward[0], backward[0]),
@@ -59,14 +70,45 @@ def assemble_chain(
     )
 
 
+def likeliest_points(
+    xy: FloatArray, likelihood: FloatArray, motion: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The likeliest candidate of each keypoint by itself, in whichever direction more of the chain moves.
+
+    Parameters
+    ----------
+    xy, likelihood, motion
+        As `assemble_chain`'s.
+
+    Returns
+    -------
+    xy : ndarray of float, shape (N, K, 2)
+    likelihood : ndarray of float, shape (N, K)
+    """
+    forward = _of_moving_chain(likelihood, motion)
+    backward = _of_moving_chain(likelihood[:, ::-1], motion[:, ::-1])[:, ::-1]
+    better = forward.max(axis=2).sum(axis=1) >= backward.max(axis=2).sum(axis=1)
+    weighted = np.where(better[:, None, None], forward, backward)
+    best = weighted.argmax(axis=2)[..., None]
+    return np.take_along_axis(xy, best[..., None], 2)[:, :, 0], np.take_along_axis(weighted, best, 2)[..., 0]
+
+
+def _of_moving_chain(likelihood: FloatArray, motion: FloatArray | float) -> FloatArray:
+    """Likelihoods (N, K, M) of candidates on a chain whose last third moves, and whose first third need not."""
+    along = np.linspace(0.0, 1.0, likelihood.shape[1])[:, None]
+    moves = np.clip(3 * along - 1, 0.0, 1.0)
+    return likelihood * (1 - (1 - RESTING) * moves * (1 - np.asarray(motion)))
+
+
 def _best_chain(
-    xy: FloatArray, likelihood: FloatArray, fixed_xy: FloatArray, body_px: float
+    xy: FloatArray, likelihood: FloatArray, fixed_xy: FloatArray | None, body_px: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Positions (N, K, 2), likelihoods (N, K) and scores (N,) of the best chains that begin with the first keypoint."""
     n, k = likelihood.shape[:2]
     score = np.log(np.maximum(likelihood, MIN_PEAK))
-    away = np.linalg.norm(xy[:, 0] - fixed_xy, axis=2) / body_px
-    score[:, 0] -= PENALTY * np.maximum(away - ANCHOR, 0)
+    if fixed_xy is not None:
+        away = np.linalg.norm(xy[:, 0] - fixed_xy, axis=2) / body_px
+        score[:, 0] -= PENALTY * np.maximum(away - ANCHOR, 0)
     # From every candidate of one keypoint to every candidate of the next, in body lengths: (N, K - 1, M, M, 2).
     step = (xy[:, 1:, None] - xy[:, :-1, :, None]) / body_px
     length = np.linalg.norm(step, axis=-1)

@@ -20,7 +20,8 @@ from ..inference.crops import CropGeometry
 from ..inference.metadata import LONGER, SHORTER, CheckpointMetadata
 from ..inference.roi import RegionOfInterest, region_of_interest
 from .base_anchor import BaseAnchoredEstimator
-from .chain_assembly import assemble_chain
+from .chain_assembly import assemble_chain, likeliest_points
+from .motion import MotionEvidence, motion_evidence
 
 FIRST_SIDES = (96, 128, 192, 256)
 """Input px of a whole frame's long side in the first search: actuators fill a fifth of a frame, or nearly all of it."""
@@ -227,25 +228,46 @@ def multi_frame_consensus(
     VideoError
         Too little is seen.
     """
+    motion = motion_evidence(probe_frames)
+    if not motion.is_known:
+        return _consensus(probe_frames, metadata, estimator, None)
+    try:
+        return _consensus(probe_frames, metadata, estimator, motion)
+    except VideoError:
+        # What moves is no actuator: hands at work, say, next to one that rests.
+        return _consensus(probe_frames, metadata, estimator, None)
+
+
+def _consensus(
+    probe_frames: Frames,
+    metadata: CheckpointMetadata,
+    estimator: CoarseToFineEstimator,
+    motion: MotionEvidence | None,
+) -> Consensus:
+    """The consensus of the chains that fit what moves; of any where no motion is given."""
     h, w = probe_frames[0].shape[:2]
     likelihood = metadata.calibration.likelihood
 
-    def search(region: RegionOfInterest) -> RegionView:
-        found = estimator.propose(probe_frames, CropGeometry(region, metadata.reference))
-        return _view_of(region, found.xy, likelihood(found.likelihood))
-
-    def search_chains(region: RegionOfInterest, fixed_xy: FloatArray, body_px: float) -> RegionView:
+    def candidates(region: RegionOfInterest) -> tuple[FloatArray, FloatArray, FloatArray]:
         xy, peak = estimator.candidate_peaks(probe_frames, region)
-        return _view_of(region, *assemble_chain(xy, likelihood(peak), fixed_xy, body_px))
+        return xy, likelihood(peak), np.ones(peak.shape) if motion is None else motion.at(xy)
+
+    def search(region: RegionOfInterest) -> RegionView:
+        return _view_of(region, *likeliest_points(*candidates(region)))
+
+    def search_chains(region: RegionOfInterest, fixed_xy: FloatArray | None, body_px: float) -> RegionView:
+        xy, peaks, moving = candidates(region)
+        return _view_of(region, *assemble_chain(xy, peaks, fixed_xy, body_px, moving))
 
     whole = [RegionOfInterest((w, h), 0, 0, w, h, min(1.0, side / max(w, h)), 1.0) for side in FIRST_SIDES]
     best = max((search(region) for region in whole), key=lambda view: view.score)
-    # Twice more around the actuator, at the scale that fits it.
-    for _ in range(2):
+    # Twice more around the actuator, at the scale that fits it. Points found one by one do not say yet where it is
+    # fixed: their first may lie on something else.
+    for is_anchored in (False, True):
         xy = _anchored_chains(best)
+        fixed_xy = best.fixed_xy if is_anchored else None
         small, large = (
-            search_chains(_fitting_region(xy, (w, h), side), best.fixed_xy, _body_px(xy))
-            for side in BODY_SIDES
+            search_chains(_fitting_region(xy, (w, h), side), fixed_xy, _body_px(xy)) for side in BODY_SIDES
         )
         best = large if large.score > small.score + CLEARLY_MORE else small
     body_px = _body_px(_anchored_chains(best))

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from bendtrack.models.localization.chain_assembly import assemble_chain
+from bendtrack.models.localization.chain_assembly import assemble_chain, likeliest_points
 
 BODY_PX = 240.0
 FIXED_XY = np.array([100.0, 300.0])
@@ -71,3 +72,22 @@ def test_a_single_candidate_is_taken_with_its_likelihood() -> None:
     xy, likelihood = assemble_chain(*candidates((anywhere, 0.1)), FIXED_XY, BODY_PX)
     assert np.isfinite(xy).all()
     np.testing.assert_array_equal(likelihood, 0.1)
+
+
+@pytest.mark.parametrize("is_reversed", [False, True])
+def test_what_moves_is_the_actuator_and_not_what_looks_more_like_one(is_reversed: bool) -> None:
+    """A tube with higher peaks that rests, and a body whose first third hardly moves."""
+    body = TRUTH[:, ::-1] if is_reversed else TRUTH
+    tube = np.broadcast_to(TRUTH[0] + np.array([30.0, 260.0]), TRUTH.shape)
+    xy, likelihood = candidates((tube, 0.9), (body, 0.4))
+    moves = np.linspace(0, 1, 9) > 0.3
+    motion = np.zeros(likelihood.shape)
+    motion[:, :, 1] = moves[::-1] if is_reversed else moves
+    resting, _ = assemble_chain(xy, likelihood, None, BODY_PX)
+    np.testing.assert_array_equal(resting, tube)
+    found, peaks = assemble_chain(xy, likelihood, None, BODY_PX, motion)
+    np.testing.assert_array_equal(found, TRUTH)
+    np.testing.assert_allclose(peaks[:, 4:], 0.4)
+    single, peaks = likeliest_points(xy, likelihood, motion)
+    last = slice(0, 4) if is_reversed else slice(5, 9)
+    np.testing.assert_array_equal(single[:, last], body[:, last])

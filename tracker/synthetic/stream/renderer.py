@@ -5,6 +5,7 @@ Its parts (background, clamp, body texture, warp, exposure) live in modules of t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -83,10 +84,19 @@ class _Shot:
 
 
 class Renderer:
-    """Draws one look at any angle. What does not move is drawn once, here."""
+    """Draws one look at any angle. What does not move is drawn once, here.
 
-    def __init__(self, look: Look) -> None:
+    Parameters
+    ----------
+    look : Look
+    bystanders : sequence of (Look, float), optional
+        Bodies that lie about and do not move, such as a tube that looks like an actuator: of each its body, surface and
+        place, and its bend in degrees.
+    """
+
+    def __init__(self, look: Look, bystanders: Sequence[tuple[Look, float]] = ()) -> None:
         self.look = look
+        self._bystanders = bystanders
         self._unit = max(look.size_wh) / 256
         self._projection = Projection(look.view, look.size_wh)
         self._background, self._texture = background(look.words.background, look.scene, look.size_wh)
@@ -221,6 +231,12 @@ class Renderer:
             painter.hose(self._projection.to_image(curve(knots)), scene.tube_colour, scene.tube_px)
         if len(self._places) == 2:
             self._mount(painter, rng)
+        for other, bend_deg in self._bystanders:
+            chain = Chain(other.body, other.place, bend_deg)
+            texture = draw_texture(other.body, other.surface, look.light, chain, 0.0, 1.9)
+            for layer in warped(texture, chain, self._projection, look.size_wh, other.body.tip_over, 2):
+                if layer is not None:
+                    _blend(self._background, layer, self._shade)
 
     def _mount(self, painter: Painter, rng: np.random.Generator) -> None:
         """What joins the clamps of two arms."""
