@@ -63,6 +63,7 @@ WITH_LABELS = (
 WITHOUT_LABELS = (
     "end_regression",
     "backward_pass",
+    "motion_evidence",
     "self_training",
     "edge_orientation",
 )

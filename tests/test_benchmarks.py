@@ -18,6 +18,7 @@ SMALL = {
         ["--looks", "1", "--steps", "3", "--labels", "6", "--seconds", "1.5", "--init", "random"],
         "angle RMSE over label-noise floor",
     ),
+    "films.py": (["--only", "gif"], "sound films called damaged"),
     "frames.py": (["--looks", "1", "--seconds", "4", "--size", "200x150"], "largest gap: at most"),
     "kills.py": (
         [
@@ -27,6 +28,10 @@ SMALL = {
         ", 0 wrong",
     ),
     "label_server.py": (["--clicks", "4", "--large", "1"], "a click, saved"),
+    "look_alikes.py": (
+        ["--films", "1", "--frames", "8"],
+        "the actuator in at least 90 % of its frames: 1 of 1",
+    ),
     "study.py": (
         ["--designs", "2", "--fast-only", "--rounds", "1", "--studies", "1"],
         "the tables' errors over 1 studies",

@@ -29,6 +29,8 @@ class StageSettings:
         A keypoint too near to its reference keypoint or too far from it gets likelihood 0.
     bias_correction : bool
         The network's systematic bias against the labels is subtracted.
+    motion_evidence : bool
+        Without labels: what moves in the video is taken for the actuator, not what looks most like one.
     self_training : bool
         Without labels: fit the network to the video first where it is not sure everywhere.
     edge_orientation : bool
@@ -43,6 +45,7 @@ class StageSettings:
     backward_pass: bool = True
     distance_check: bool = True
     bias_correction: bool = True
+    motion_evidence: bool = True
     self_training: bool = True
     edge_orientation: bool = True
 

@@ -228,8 +228,8 @@ def multi_frame_consensus(
     VideoError
         Too little is seen.
     """
-    motion = motion_evidence(probe_frames)
-    if not motion.is_known:
+    motion = motion_evidence(probe_frames) if estimator.stages.motion_evidence else None
+    if motion is None or not motion.is_known:
         return _consensus(probe_frames, metadata, estimator, None)
     try:
         return _consensus(probe_frames, metadata, estimator, motion)
