@@ -24,10 +24,11 @@ LANES = [
         "#8A2F5F",
         "#FBEFF5",
         [
-            ("I", "Probe frames", "the end that rests"),
-            ("II", "Chain assembly", "dynamic programming"),
-            ("III", "Edge orientation", "from its two sides"),
-            ("IV", "Self-training", "where it is not sure"),
+            ("I", "Motion evidence", "what moves is it"),
+            ("II", "Probe frames", "the end that rests"),
+            ("III", "Chain assembly", "dynamic programming"),
+            ("IV", "Edge orientation", "from its two sides"),
+            ("V", "Self-training", "where it is not sure"),
         ],
     ),
     (
