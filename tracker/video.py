@@ -208,6 +208,11 @@ class Video:
     ) -> None:
         """Each iteration closes its own file."""
 
+    def _say_interlaced(self) -> None:
+        self.warnings.append(
+            "pictures are interlaced though the file does not say so; each was made from its first field"
+        )
+
     def __iter__(self) -> Generator[Frame, None, None]:
         self.warnings, self.complete = list(self._standing_warnings), True
         times: list[float] = []
@@ -226,7 +231,7 @@ class Video:
             check = PictureCheck(self.codec)
             clusters = _Clusters(damaged_ranges(self.path) if self._is_matroska else [])
             start: int | None = None
-            for row in deinterlaced(decoding.rows()):
+            for row in deinterlaced(decoding.rows(), self._say_interlaced):
                 start = row.stamp if start is None else start
                 time_s = self._time_s(row, len(times), start, stream.time_base or Fraction(1))
                 times.append(time_s)

@@ -48,6 +48,8 @@ class Recipe:
         Width over height of a pixel.
     interlaced : {"", "tff", "bff"}
         Which field comes first; empty: progressive.
+    is_marked : bool
+        Whether the file says that it is interlaced.
     audio : bool
         Whether there is a silent sound track.
     metadata : mapping of str to str
@@ -67,6 +69,7 @@ class Recipe:
     flip: bool = False
     pixel_aspect: Fraction = Fraction(1)
     interlaced: str = ""
+    is_marked: bool = True
     audio: bool = False
     metadata: Mapping[str, str] = field(default_factory=dict)
 
@@ -105,7 +108,7 @@ def write(recipe: Recipe, path: Path) -> Path:
                 frame = frame.reformat(format=recipe.pix_fmt)
             if recipe.times_s is None:
                 frame.pts, frame.time_base = number, 1 / recipe.rate
-            if recipe.interlaced:
+            if recipe.interlaced and recipe.is_marked:
                 frame = marked.mark(frame)
             container.mux(stream.encode(frame))
         container.mux(stream.encode(None))

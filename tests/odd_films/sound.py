@@ -200,6 +200,19 @@ def _shaped() -> Iterator[tuple[str, Recipe]]:
     for name, base in interlaced.items():
         for order in ("tff", "bff"):
             yield f"interlaced_{order}_{name}", replace(base, interlaced=order, size_wh=(320, 240))
+    # Written as if progressive, as many capture programs do.
+    unmarked = {
+        "x264.mp4": plain,
+        "ffv1.mkv": recipe("ffv1", ".mkv"),
+        "mjpeg.avi": recipe("mjpeg", ".avi"),
+        "prores.mov": recipe("prores", ".mov"),
+    }
+    for name, base in unmarked.items():
+        for order in ("tff", "bff"):
+            yield (
+                f"unmarked_{order}_{name}",
+                replace(base, interlaced=order, is_marked=False, size_wh=(320, 240)),
+            )
     yield "odd.mkv", replace(recipe("ffv1", ".mkv"), size_wh=(161, 121), pix_fmt="yuv444p")
     yield "odd.mp4", replace(plain, size_wh=(162, 122))
     yield "tall.mp4", replace(plain, size_wh=(240, 320))

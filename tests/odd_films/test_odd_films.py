@@ -40,7 +40,12 @@ QUIET = (
         "one_frame.mp4",
         "latin1_title.mp4",
     ),
-    *("latin1_title.avi", "interlaced_tff_x264.mp4", "interlaced_bff_mpeg2.ts", "interlaced_bff_prores.mov"),
+    *(
+        "latin1_title.avi",
+        "interlaced_tff_x264.mp4",
+        "interlaced_bff_mpeg2.ts",
+        "interlaced_bff_prores.mov",
+    ),
 )
 
 
@@ -57,6 +62,15 @@ def test_an_uneven_clock_is_no_damage(tmp_path: Path, name: str) -> None:
     assert judged.complete
     assert (judged.flagged, judged.wrong) == (0, 0)
     assert "no frame for" in judged.words[0]
+
+
+@pytest.mark.parametrize("name", ["unmarked_bff_mjpeg.avi", "unmarked_tff_x264.mp4"])
+def test_interlaced_pictures_that_are_not_marked_are_noticed(tmp_path: Path, name: str) -> None:
+    judged = judge(sound.write_film(name, SOUND[name], tmp_path), SOUND[name].frame_times_s)
+    assert (judged.verdict, judged.flagged, judged.wrong) == (Verdict.SAID, 0, 0)
+    assert judged.words == [
+        "pictures are interlaced though the file does not say so; each was made from its first field"
+    ]
 
 
 @pytest.mark.parametrize("name", ["h264.h264", "mjpeg.mjpeg", "av1.obu", "mpeg2.m2v"])
