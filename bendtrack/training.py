@@ -178,6 +178,7 @@ def train_network(
             except BaseException:
                 with suppress(OSError):  # where nothing was written, nothing is left
                     folder.rmdir()
+                    folder.parent.rmdir()
                 raise
     except FolderInUseError:
         raise TrainingError(

@@ -27,6 +27,7 @@ from .errors import (
     BendtrackError,
     CheckpointError,
     MissingPackageError,
+    UnwritableResultsError,
     VideoError,
     WeightsError,
     reason,
@@ -49,7 +50,7 @@ MOST_ELONGATED = 50
 LEAST_SOUND = 0.6
 """Share of the rows without a flag below which a user is warned, where nobody has labelled anything."""
 
-_OF_THE_BATCH = (AngleError, CheckpointError, MissingPackageError, WeightsError)
+_OF_THE_BATCH = (AngleError, CheckpointError, MissingPackageError, UnwritableResultsError, WeightsError)
 """Errors that every video of a batch would have."""
 
 _LONGEST_REASON = 200

@@ -31,6 +31,10 @@ class ResultsError(BendtrackError):
     """A results file is missing, malformed or not written by bendtrack."""
 
 
+class UnwritableResultsError(ResultsError):
+    """Results cannot be written: the folder is read-only, say, or the disk is full."""
+
+
 class WeightsError(BendtrackError):
     """Starting weights cannot be found, downloaded or fitted to the network."""
 

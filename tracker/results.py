@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from .angle import AngleDefinition
 from .atomic import atomic_path, atomic_write_bytes, atomic_write_text
 from .csv_tables import read_csv_table, spreadsheet_cell, spreadsheet_text
-from .errors import AngleError, ResultsError, reason
+from .errors import AngleError, ResultsError, UnwritableResultsError, reason
 from .hashing import file_sha256
 from .hdf5_files import open_hdf5
 from .json_files import load_json, parse_json
@@ -240,7 +240,9 @@ def write_results(table: AngleTable, out_dir: str | Path, stem: str) -> tuple[Pa
         }
         atomic_write_text(json_path, json.dumps(record, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
     except OSError as error:
-        raise ResultsError(f"{folder / stem}.*: results cannot be written ({reason(error)})") from error
+        raise UnwritableResultsError(
+            f"{folder / stem}.*: results cannot be written ({reason(error)})"
+        ) from error
     return csv_path, h5_path, json_path
 
 

@@ -182,7 +182,7 @@ def _moved(image: FloatArray, shift: FloatArray) -> FloatArray:
 def _edge_difference(image: FloatArray, reference: FloatArray) -> float:
     """Median difference of an image's edges from others, where there are some."""
     edges = _edges(image)
-    strong = reference > np.quantile(reference, STRONG_EDGES)
+    strong = reference >= np.quantile(reference, STRONG_EDGES)
     return float(np.median(np.abs(edges - reference)[strong]))
 
 

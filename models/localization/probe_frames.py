@@ -265,7 +265,7 @@ def _consensus(
     # fixed: their first may lie on something else.
     for is_anchored in (False, True):
         xy = _anchored_chains(best)
-        fixed_xy = best.fixed_xy if is_anchored else None
+        fixed_xy = best.fixed_xy if is_anchored or motion is None else None
         small, large = (
             search_chains(_fitting_region(xy, (w, h), side), fixed_xy, _body_px(xy)) for side in BODY_SIDES
         )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -71,10 +72,11 @@ def match_keypoints(
         if own == video and images[i].shape == images[videos.index(video)].shape
     ]
     rows = rows[:: -(-len(rows) // MAX_FRAMES)]
+    # Labelled frames are few, and chosen to be unlike each other: what moves between them is not asked.
+    estimator = source.network.estimator(source.candidates)
+    estimator = replace(estimator, stages=replace(estimator.stages, motion_evidence=False))
     try:
-        consensus = multi_frame_consensus(
-            np.stack([images[i] for i in rows]), source, source.network.estimator(source.candidates)
-        )
+        consensus = multi_frame_consensus(np.stack([images[i] for i in rows]), source, estimator)
     except VideoError:
         return {}
     if consensus.inlier.mean() < MIN_INLIER_SHARE:

@@ -157,10 +157,8 @@ def live(
         with _little_to_sweep(), stop_event(signal.SIGINT, signal.SIGTERM) as stop, target or nullcontext():
             values = measure_live(filmed, network, definition, duration_s=duration, stop=stop, **options)
             with closing(values):
-                for value in _told(values, format, target):
+                for value in _told(values, format, target, kept):
                     tally.add(value)
-                    if kept is not None:
-                        kept.add(value)
     finally:
         console.say(tally.line())
         for warning in filmed.warnings:
@@ -170,7 +168,7 @@ def live(
 
 
 def _told(
-    values: Iterator[LiveValue], format: LineFormat, target: UdpTarget | None
+    values: Iterator[LiveValue], format: LineFormat, target: UdpTarget | None, kept: _Kept | None
 ) -> Generator[LiveValue, None, None]:
     """The values, each told to whoever wants it, until there are no more or nobody reads stdout any longer."""
     from ..live.output import HEADER, line_of
@@ -182,6 +180,8 @@ def _told(
             line = line_of(value, format)
             if target is not None:  # before stdout, whose reader may be slow
                 target.send(f"{line}\n")
+            if kept is not None:  # no row that somebody has read is lost
+                kept.add(value)
             print(line, flush=True)
             yield value
     except BrokenPipeError:
