@@ -97,9 +97,7 @@ COMMANDS = {
     "evaluate": Command("evaluate {}trained", ("trained",)),
     "track": Command("track {}trained {}film.mp4 --overlay", ("trained", "film.mp4")),
     "compile": Command("track {}plain {}film.mp4 --engine openvino", ("plain", "film.mp4")),
-    "angle": Command(
-        "angle {}film.mp4 --out {}out --no-adapt --model {}trained/models/model", ("trained", "film.mp4")
-    ),
+    "angle": Command("angle {}film.mp4 --out {}out --quick", ("film.mp4",)),
     "first-study": Command("analyze --init {}rig", ("rig",)),
     "analyze": Command("analyze {}rig2/study.toml --out {}out", ("rig2",)),
     "render": Command(
