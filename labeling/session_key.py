@@ -1,7 +1,7 @@
 """The key of one start of the server, with which page and server prove themselves to each other.
 
 The key never goes over a connection in a request. The page signs its requests with it, the server signs its answers,
-and both check. So a program that listens on the port after the server has died learns nothing, and is not believed.
+and both check. So a program that listens on the port after the server has died learns nothing, and is not trusted.
 Who gets the key is in `auth.py`; the page's half is page/session.js.
 """
 

@@ -144,7 +144,7 @@ def test_a_training_that_cannot_begin_leaves_no_folder(bendtrack, project: Proje
         model_folders.folder_to_resume(project, None)
 
 
-def test_the_reporter_is_told_of_doubt(project: Project) -> None:
+def test_doubt_is_reported(project: Project) -> None:
     said: list[str] = []
 
     class Listening(SilentReporter):

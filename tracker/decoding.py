@@ -6,7 +6,7 @@ How frames are accounted for
     that gives no picture is a frame that could not be decoded: it keeps its row and its time. Packets that
     are not to be shown (before the start of an edit list; VP8's hidden references) are no frames.
 
-What is believed of a damaged frame
+What is kept of a damaged frame
     FFmpeg conceals errors: it hands out a picture patched from its neighbours. A picture that the decoder
     marks corrupt, or whose packet the file marks so, is not used: that frame is undecodable. A picture during
     whose decoding FFmpeg logged an error, and frames that are decoded without error but build on a frame that is

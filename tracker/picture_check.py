@@ -124,7 +124,7 @@ class PictureCheck:
         Parameters
         ----------
         is_damaged : bool
-            Whether the file is known to be damaged: then less is believed.
+            Whether the file is known to be damaged: smaller changes count as damage then.
 
         Returns
         -------

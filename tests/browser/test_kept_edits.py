@@ -147,7 +147,7 @@ class Impostor(ThreadingHTTPServer):
         threading.Thread(target=self.serve_forever, daemon=True).start()
 
 
-def test_an_impostor_on_the_port_learns_nothing_and_is_not_believed(session, clicked) -> None:
+def test_an_impostor_on_the_port_learns_nothing_and_is_not_trusted(session, clicked) -> None:
     labeller, image, truth = clicked
     page = labeller.page
     key = page.evaluate("localStorage.getItem('bendtrack/key')")

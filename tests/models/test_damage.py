@@ -135,7 +135,7 @@ def test_a_damaged_engine_is_compiled_again(damaged: Path, damage: str) -> None:
     load_network(damaged, "openvino", "cpu")  # and says nothing more
 
 
-def test_a_record_that_was_changed_is_not_believed(damaged: Path) -> None:
+def test_a_record_that_was_changed_is_refused(damaged: Path) -> None:
     file = damaged / "engine" / RECORD
     values = json.loads(file.read_text())
     # Refused for its quantisation error, and now said to have passed and to be the fastest.
