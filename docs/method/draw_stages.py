@@ -24,7 +24,7 @@ LANES = [
         "#8A2F5F",
         "#FBEFF5",
         [
-            ("I", "Motion evidence", "what moves is it"),
+            ("I", "Motion evidence", "what moves in the film"),
             ("II", "Probe frames", "the end that rests"),
             ("III", "Chain assembly", "dynamic programming"),
             ("IV", "Edge orientation", "from its two sides"),
