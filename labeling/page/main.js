@@ -245,9 +245,10 @@ async function start() {
     if (signedOut || state === "session") {
       text = "The server of this page has ended, and something else answers in its place. Do not reload: open the address that bendtrack label prints, in this browser.";
       if (waiting) text += " Unsent edits are kept and go with it.";
-    } else if (state === "disk") text = `Not on disk: ${reason}. Edits are kept here and sent again.`;
+    } else if (state === "disk") text = `Not on disk, edits are kept here and sent again: ${reason}`;
     else if (state === "refused") {
-      const frames = queue.refused.map((id) => id.replace(/^repeat /, "")).join(", ");
+      const refused = queue.refused.map((id) => id.replace(/^repeat /, ""));
+      const frames = refused.slice(0, 3).join(", ") + (refused.length > 3 ? ` and ${refused.length - 3} more` : "");
       text = `Not saved: ${frames} (${reason}). Kept here and sent again.`;
       buttons = [
         { text: "Send again", run: () => queue.retry(), main: true },

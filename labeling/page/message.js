@@ -12,7 +12,7 @@ export function showMessage(text, lastsMs = 4000) {
   timer = setTimeout(() => (node.hidden = true), lastsMs);
 }
 
-/** A line across the page, with buttons [{text, key, run, main}]; null removes it. */
+/** A line over the header, with buttons [{text, key, run, main}]; null removes it. */
 export function setBanner(text, buttons = [], kind = "note") {
   const node = byId("banner");
   node.hidden = !text;

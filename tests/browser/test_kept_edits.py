@@ -67,11 +67,14 @@ def test_the_folder_is_away_for_a_while(session, clicked, place) -> None:
 def test_a_refused_edit_stays_until_it_is_saved_or_dropped(session, clicked) -> None:
     labeller, image, truth = clicked
     page = labeller.page
+    before = labeller.view(), page.locator("#stage").bounding_box()
     file = session.server.root / "labeled-data" / "video" / image
     file.rename(file.with_name("gone"))
     labeller.click(truth[1])
     page.wait_for_selector('#saving[data-state="refused"]')
     expect(page.locator("#banner")).to_contain_text(image)
+    # A banner comes at any moment, also while someone clicks: the image stays where it is.
+    assert (labeller.view(), page.locator("#stage").bounding_box()) == before
     labeller.click(truth[2])  # on top of the refused one
     page.wait_for_selector('#saving[data-state="refused"]')
     assert page.evaluate("Object.keys(localStorage).filter(key => key.includes('/queue/')).length") == 1
