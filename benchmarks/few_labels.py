@@ -26,6 +26,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from rendered import rms
 
+from bendtrack.models.adaptation.propagated_frames import propagated_frames
 from bendtrack.models.detector import NetworkDetector
 from bendtrack.models.networks.shipped import working_copy
 from bendtrack.models.training.settings import TrainingSettings
@@ -181,7 +182,8 @@ def results_of(
         labelled = labels_of(film, count, folder / f"labels-{count}")
         settings = TrainingSettings(init=init, steps=steps, held_out=0.0 if count < 10 else 0.1)
         begun = time.perf_counter()
-        train(labelled, ENDS, DEFINITION, model, settings)
+        more = propagated_frames(labelled, ENDS, {film.path.stem: film.path}, model, settings)
+        train([*labelled, *more], ENDS, DEFINITION, model, settings)
         minutes = (time.perf_counter() - begun) / 60
         frames = [frame.frame for frame in labelled if frame.frame is not None]
         got = judged(film, NetworkDetector.load(model), frames)

@@ -1,21 +1,31 @@
-"""From video to bending angle without project or labels, by the network that comes with bendtrack."""
+"""From video to bending angle without a project of one's own: without labels, or with one labelled frame.
+
+The network that comes with bendtrack finds the actuator; with a labelled frame, one trained from it does.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from .model_folders import finished, unfinished
 from .networks import Localizer, load_network
 from .reporting import SILENT, Reporter
 from .tracker.batch import Batch, VideoOutcome, check_writable, measured, track_batch
+from .tracker.errors import VideoError
+from .training import is_trained_on_labels, planned_settings
 
 if TYPE_CHECKING:
     from .models.detector import NetworkDetector
+    from .project import Project
     from .tracker.results import AngleTable
 
 BACKBONE = "resnet18"
 """Of the network that comes with bendtrack and is taken here."""
+
+LABELS_FOLDER = "labels"
+"""The project with the labelled frame, in the folder of the results."""
 
 
 def measure(
@@ -128,6 +138,91 @@ def measure_each(
         counting=reporter.counting,
     )
     yield from track_batch(batch, videos)
+
+
+def project_to_label(videos: Sequence[Path], out: Path, *, reporter: Reporter = SILENT) -> Project:
+    """Open the project next to the results, in which one frame is to be labelled; make it where there is none.
+
+    The frame is from the middle of the motion in the first video, and sharp.
+
+    Parameters
+    ----------
+    videos : sequence of Path
+        Video files, as `tracker.batch.listed_videos` gives them.
+    out : Path
+        Folder of the results; the project is `LABELS_FOLDER` in it.
+    reporter : Reporter
+        Is told what goes on.
+
+    Returns
+    -------
+    Project
+        With at least one frame, labelled or not.
+
+    Raises
+    ------
+    BendtrackError
+        The folder cannot be written.
+    ProjectError
+        Something else lies where the project would.
+    VideoError
+        The first video cannot be read, or has no frame to label.
+    """
+    from .labeling.store import LabelStore
+    from .project import Project, new_project
+    from .tracker.project import SETTINGS_FILE
+    from .tracker.project import Project as ProjectFolder
+
+    check_writable(out)
+    root = out / LABELS_FOLDER
+    if not (root / SETTINGS_FILE).exists():
+        new_project(root)
+    project = Project(ProjectFolder.open(root), reporter)
+    store = LabelStore.of(project.folder)
+    if not any(store.images(video) for video in store.videos()):
+        report = project.add_frames(videos[0], count=1)
+        for problem in report.failed.values():
+            raise VideoError(f"{videos[0]}: {problem}")
+        if not any(report.saved.values()):
+            raise VideoError(f"{videos[0]}: expected a frame to label, got none that is sound")
+    return project
+
+
+def measure_labelled(
+    project: Project, videos: Sequence[Path], out: Path, *, started_s: float | None = None, **options: Any
+) -> Iterator[VideoOutcome]:
+    """Train a network on a project's labels where that is not done yet, and track videos with it.
+
+    Parameters
+    ----------
+    project : Project
+        From `project_to_label`, with all keypoints labelled in some frame.
+    videos : sequence of Path
+        Video files.
+    out : Path
+        Receives the results.
+    started_s : float or None
+        As `Project.train`'s.
+    **options : object
+        As `Project.track_each`'s.
+
+    Yields
+    ------
+    VideoOutcome
+        For every video in order.
+
+    Raises
+    ------
+    LabelError, TrainingError
+        As `Project.train`.
+    BendtrackError
+        As `Project.track_each`.
+    """
+    settings = planned_settings(project.folder, {})
+    newest = finished(project.folder)[-1:]
+    if not newest or not is_trained_on_labels(project.folder, newest[0], settings):
+        project.train(resume=bool(unfinished(project.folder)), started_s=started_s)
+    yield from project.track_each(list(videos), out=out, **options)
 
 
 def network_line(network: NetworkDetector) -> str:

@@ -198,8 +198,8 @@ def _train_locked(
     """`train_network`, in a folder that no other process trains into."""
     started_s = time.monotonic() if started_s is None else started_s
     frames = labels_of(project, project.keypoints)
-    definition = angle_of(project, frames)
     with training_packages_needed("training"):
+        from .models.adaptation.propagated_frames import forget_propagated
         from .models.evaluation import not_trained_on
         from .models.training.state import STATE_FILE
         from .models.training.trainer import train
@@ -212,13 +212,16 @@ def _train_locked(
     remove_leftovers(folder)
     if not resume:
         state.unlink(missing_ok=True)
+        forget_propagated(folder)
+    propagated = _propagated(project, frames, folder, settings, reporter)
+    definition = angle_of(project, [*frames, *propagated])
     started = {model_folders.STARTED: model_folders.start_of_training(project)}
     atomic_write_text(stored, json.dumps({**settings.to_dict(), **started}, indent=2) + "\n")
     again = ["bendtrack", "train", str(project.root)]
     try:
         with reporter.training(folder.name) as progress:
             checkpoint = train(
-                frames,
+                [*frames, *propagated],
                 project.keypoints,
                 definition,
                 folder,
@@ -239,6 +242,7 @@ def _train_locked(
             reporter.say(f"Not finished: `{shlex.join([*again, '--resume'])}` goes on with '{folder.name}'")
         else:  # nothing was learnt, so nothing is left
             stored.unlink(missing_ok=True)
+            forget_propagated(folder)
             with suppress(OSError):
                 folder.rmdir()
         raise
@@ -246,7 +250,7 @@ def _train_locked(
     reporter.say(
         f"'{folder.name}': {facts['steps']} steps in {facts['minutes']:.1f} min, from {facts['started_from']} weights"
     )
-    planned = settings.steps_for(len(facts["trained_on"]), facts["started_from"])
+    planned = settings.steps_for(len(facts["trained_on"]) + len(propagated), facts["started_from"])
     if settings.max_minutes is not None and facts["steps"] < LEAST_SHARE_OF_STEPS * planned:
         reporter.warn(
             f"{settings.max_minutes:g} min were enough for {facts['steps']} of {planned} steps:"
@@ -258,6 +262,59 @@ def _train_locked(
     held_out = not_trained_on(checkpoint, frames)
     evaluation = judge(folder, checkpoint, held_out, reporter) if held_out else None
     return TrainedNetwork(folder, facts["steps"], facts["minutes"], evaluation)
+
+
+def is_trained_on_labels(project: ProjectFolder, folder: Path, settings: TrainingSettings) -> bool:
+    """Whether a finished network was trained on a project's labels as they are now, with these settings.
+
+    Parameters
+    ----------
+    project : tracker.project.Project
+        Whose labels.
+    folder : Path
+        The network's.
+    settings : TrainingSettings
+        How it would be trained now.
+
+    Returns
+    -------
+    bool
+        False too where the network cannot be read.
+    """
+    from .models.adaptation.propagated_frames import read_propagated
+    from .models.inference.metadata import read_metadata, weights_file
+    from .models.training.training_data import settings_and_labels_sha256
+
+    frames = labels_of(project, project.keypoints)
+    frames += read_propagated(folder, frames)
+    try:
+        learnt = read_metadata(weights_file(folder)).training.get("settings_and_labels_sha256")
+    except CheckpointError:
+        return False
+    return bool(learnt == settings_and_labels_sha256(frames, project.keypoints, settings))
+
+
+def _propagated(
+    project: ProjectFolder,
+    frames: Sequence[LabelledFrame],
+    folder: Path,
+    settings: TrainingSettings,
+    reporter: Reporter,
+) -> list[LabelledFrame]:
+    """Other frames of the videos with few labels, with the labels propagated to them."""
+    from .labeling.video_record import remembered_video
+    from .models.adaptation.propagated_frames import few_labels, propagated_frames
+
+    stems = few_labels(frames)
+    found = {stem: remembered_video(project.labels_dir / stem) for stem in stems}
+    videos = {stem: video for stem, video in found.items() if video is not None}
+    if not videos:
+        return []
+    with reporter.counting(f"finding the actuator in {', '.join(videos)}", "steps") as progress:
+        made = propagated_frames(frames, project.keypoints, videos, folder, settings, progress)
+    if made:
+        reporter.say(f"Few frames are labelled: {len(made)} more of {', '.join(videos)} are learnt from")
+    return made
 
 
 def evaluate_network(project: ProjectFolder, folder: Path, reporter: Reporter = SILENT) -> Evaluation:

@@ -21,6 +21,7 @@ from .pressure_signal import PressureSignal
 from .selection import PositionOf, select_frames
 from .store import LabelStore, image_name
 from .stream_clustering import AppearanceClusters, BinnedClusters
+from .video_record import remember_video
 from .video_scan import DECODING_THREADS, Progress, SampleBy, VideoScan, clusters_for, scan_video
 
 Counting = Callable[[str], AbstractContextManager[Progress]]
@@ -253,4 +254,5 @@ def _save(
             if frame.index % 32 == 0:
                 progress(frame.index, last)
             if frame.index >= last:
-                return
+                break
+    remember_video(store.labels_dir / found.stem, found.scan.video)

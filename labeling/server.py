@@ -61,6 +61,8 @@ class LabellingServer:
         Takes the address of an image and returns one that can be fetched without a header.
     stopping : callable, optional
         Returns True when the server is about to stop.
+    finish : callable, optional
+        Called when the user says that the labels are done, which the page then offers.
 
     Attributes
     ----------
@@ -78,9 +80,11 @@ class LabellingServer:
         repeat_share: float,
         sign_address: Callable[[str], str] = str,
         stopping: Callable[[], bool] = lambda: False,
+        finish: Callable[[], None] | None = None,
     ) -> None:
         self._annotations = annotations
         self._editor = editor
+        self._finish = finish
         self._server_id = secrets.token_hex(8)
         self._page = Path(str(files("bendtrack.labeling"))) / "page"
         # A filmstrip requests dozens of thumbnails at once; a click in between must not wait for a core.
@@ -106,6 +110,7 @@ class LabellingServer:
                 Route(frame, self._frame, methods=["GET", "PUT"]),
                 Route("/api/undo", self._undo, methods=["POST"]),
                 Route("/api/redo", self._redo, methods=["POST"]),
+                Route("/api/finish", self._finished, methods=["POST"]),
                 get("/api/events", self._events),
                 get("/api/summary", self._summary),
                 get("/api/repeats/next", self._next_repeat),
@@ -165,7 +170,7 @@ class LabellingServer:
 
     async def _project(self, request: Request) -> Response:
         project = await run_in_threadpool(self.view_models.project)
-        return JSONResponse({**project, "server_id": self._server_id})
+        return JSONResponse({**project, "server_id": self._server_id, "can_finish": self._finish is not None})
 
     async def _frames(self, request: Request) -> Response:
         return JSONResponse(
@@ -258,6 +263,15 @@ class LabellingServer:
         if edited.changed:
             self.broadcaster.frame_changed(frame["id"], frame["revision"], body.client_id, str(body.edit_id))
         return JSONResponse({"frame": frame} if wrapped else frame, 409 if edited.conflict else 200)
+
+    async def _finished(self, request: Request) -> Response:
+        await _body(request, StepRequest)
+        if self._finish is None:
+            raise HTTPException(404)
+        if not await run_in_threadpool(self.view_models.has_whole_frame):
+            raise HTTPException(422)
+        self._finish()
+        return Response(status_code=204)
 
     # Repeat labels
 

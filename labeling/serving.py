@@ -33,6 +33,7 @@ def serve_labelling(
     network: Network | None = None,
     repeat_share: float = REPEAT_SHARE,
     ready: Callable[[Callable[[], str]], None],
+    until_finished: bool = False,
 ) -> None:
     """Serve the labelling page of a project on this machine until interrupted.
 
@@ -48,6 +49,8 @@ def serve_labelling(
         Share in [0, 1] of the labelled frames that is shown again for a blind repeat label; 0 for none.
     ready : callable
         Called once with a function that returns a new address at every call; each opens the page in one browser.
+    until_finished : bool, optional
+        Whether the page has a button that ends the server, once every keypoint is placed in some frame.
 
     Raises
     ------
@@ -72,6 +75,7 @@ def serve_labelling(
         repeat_share=repeat_share,
         sign_address=key.sign_address,
         stopping=lambda: running.should_exit,
+        finish=(lambda: setattr(running, "should_exit", True)) if until_finished else None,
     )
     if network is not None:
         server.view_models.predictions = Predictions(

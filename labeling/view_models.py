@@ -203,6 +203,15 @@ class ViewModels:
             "prefetch": [self._urls(video, other)["image_url"] for other in soon],
         }
 
+    def has_whole_frame(self) -> bool:
+        """Whether every keypoint is placed in some frame."""
+        keypoints = set(self._annotations.project.keypoints)
+        return any(
+            keypoints <= set(state.points) and not state.skipped
+            for folder in self._annotations.folders()
+            for state in folder.states.values()
+        )
+
     def summary(self) -> dict[str, Any]:
         """Return figures of the labels so far, the body of GET /api/summary."""
         folders = self._annotations.folders()

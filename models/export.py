@@ -24,6 +24,7 @@ from ..tracker.folder_lock import folder_lock
 from ..tracker.hashing import file_sha256
 from ..tracker.links import make_folder
 from ..tracker.types import Detections, ImageArray
+from .adaptation.propagated_frames import FOLDER
 from .data.images import read_image_file
 from .data.synthetic import rendered_samples
 from .inference.coarse_to_fine import CoarseToFineEstimator, Predictor, concatenated
@@ -106,6 +107,7 @@ def _frames_for(file: Path) -> list[ImageArray]:
         return [sample.image for sample, _ in rendered_samples(seed, range(RENDERED_FRAMES))]
     labels = file.resolve().parent.parent.parent / "labeled-data"  # of models/<name>/weights.safetensors
     known = [labels / name for name in checkpoint.training.get("trained_on", [])]
+    known += [file.resolve().parent / FOLDER / name for name in checkpoint.training.get("propagated", [])]
     return [read_image_file(path) for path in known if path.is_file()]
 
 

@@ -51,6 +51,10 @@ NOT_RUN = {
     "source .venv/bin/activate": "the tests run in an environment already",
     "bendtrack demo": "trains for a minute; test_cli_demo.py and .ci/run do it",
     "bendtrack label my-study": "waits for clicks in a browser; tests/browser does it, here labels are imported",
+    "bendtrack angle trial/trial.mp4 --label": "the same",
+    "bendtrack angle video.mp4 --label": "the same",
+    "bendtrack frames one-label/labels": "goes on from such clicks",
+    "bendtrack label one-label/labels": "the same",
     "bendtrack live my-study 0": "needs a camera; test_cli_live.py plays a file",
 }
 """Commands, by their beginning, that are not run, and why."""

@@ -441,7 +441,7 @@ def _track_one(batch: Batch, video: Path, figures: _Figures) -> VideoOutcome:
     if batch.definition is None and sound < LEAST_SOUND:
         warnings.append(
             f"{video}: expected the actuator in most frames, got it without a flag in {100 * sound:.0f} %, and those"
-            " may be wrong too; look at --overlay, or label some frames: `bendtrack new`"
+            " may be wrong too; look at --overlay, or label one frame: `bendtrack angle --label`"
         )
     figures.wait()
     if not is_recorded(folder, stem, figure_path):

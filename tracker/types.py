@@ -178,6 +178,8 @@ class LabelledFrame:
         Which actuator it shows; labels of one actuator train and are judged together.
     frame : int or None
         Index of the frame in its video, None where the file name does not contain it.
+    propagated : bool
+        Whether the positions follow from labels in other frames of the video: nobody labelled this one.
     """
 
     video: str
@@ -185,3 +187,4 @@ class LabelledFrame:
     xy: FloatArray
     actuator: str
     frame: int | None = None
+    propagated: bool = False

@@ -6,6 +6,7 @@ import { chooseVersion } from "./conflict_dialog.js";
 import { connectControls } from "./controls.js";
 import { FrameNavigator } from "./frame_navigator.js";
 import { byId } from "./elements.js";
+import { offerFinish } from "./finish.js";
 import { hideEmpty, showEmpty } from "./empty_page.js";
 import { Filmstrip } from "./filmstrip.js";
 import { FrameList } from "./frame_list.js";
@@ -142,6 +143,7 @@ async function start() {
     if (queue.status.waiting && queue.status.state !== "saving") event.preventDefault();
   });
 
+  let finished = false; // the server has ended because this page said so
   let signedOut = false;
   let troubleShown = null;
   let choosing = false;
@@ -188,6 +190,7 @@ async function start() {
     }, LIST_AGAIN_MS);
   };
 
+  if (project.can_finish) offerFinish({ list, queue, clientId: identity.clientId, ended: () => (finished = true) });
   adoptOrphanedEdits(identity, (edits) => queue.adopt(edits));
   await openFirst();
 
@@ -218,6 +221,7 @@ async function start() {
       if (open.frame) frameNavigator.refresh(open.frame.id);
     },
     async lost() {
+      if (finished) return;
       queue.setConnected(false);
       const error = await get("/api/project").catch((reason) => reason);
       signedOut = error instanceof Unproven;

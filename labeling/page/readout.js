@@ -35,7 +35,7 @@ export function showHint(project, open, aimed) {
     marks.append(swatch(project.keypoints.indexOf(target), 15), target);
     parts.push(aimed ? "Enter places " : "Click to place ", marks, aimed ? " here" : "");
   } else if (open.isRepeat) parts.push("All placed. Enter saves and goes on.");
-  else parts.push("All points are set. N goes to the next frame to label.");
+  else parts.push(`All points are set. ${project.can_finish ? "Measure goes on." : "N goes to the next frame to label."}`);
   const text = parts.map((part) => part.textContent ?? part).join("");
   if (hint.dataset.text === text) return;
   hint.dataset.text = text;

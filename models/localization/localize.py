@@ -23,6 +23,7 @@ from .probe_frames import (
     FIXED,
     MOVING,
     Consensus,
+    KnownEnds,
     PseudoLabels,
     inlier_mask,
     lengths_px,
@@ -126,7 +127,7 @@ def find_actuator(
         labels = consensus.pseudo_labels(probe_frames, metadata, estimator)
         if labels.positive.sum() >= MIN_SURE and labels.positive.mean() < MAX_SURE_SHARE:
             fitted = fit_network(probe_frames, labels, consensus.view.region)
-            estimator, consensus = _better_of(probe_frames, metadata, (estimator, consensus), fitted)
+            estimator, consensus = better_of(probe_frames, metadata, (estimator, consensus), fitted)
     inlier, region = consensus.inlier, consensus.view.region
     xy, regressor = consensus.found.xy, estimator.end_regressor
     if zero_shot and fit_ends is not None:
@@ -148,29 +149,33 @@ def find_actuator(
 
 
 def _accepted_consensus(
-    probe_frames: Frames, metadata: CheckpointMetadata, estimator: CoarseToFineEstimator
+    probe_frames: Frames,
+    metadata: CheckpointMetadata,
+    estimator: CoarseToFineEstimator,
+    known: KnownEnds | None = None,
 ) -> Consensus:
     """The probe frames' consensus, if most of them agree on one actuator; VideoError as `find_actuator`."""
-    consensus = multi_frame_consensus(probe_frames, metadata, estimator)
+    consensus = multi_frame_consensus(probe_frames, metadata, estimator, known)
     if consensus.inlier.mean() < MIN_INLIER_SHARE:
         raise VideoError(
             f"expected an actuator that keeps its shape, got one that does in {100 * consensus.inlier.mean():.0f} %"
-            " of the frames looked at; label some frames: `bendtrack new`"
+            " of the frames looked at; label one frame: `bendtrack angle --label`"
         )
     return consensus
 
 
-def _better_of(
+def better_of(
     probe_frames: Frames,
     metadata: CheckpointMetadata,
     before: tuple[CoarseToFineEstimator, Consensus],
     fitted: CoarseToFineEstimator | None,
+    known: KnownEnds | None = None,
 ) -> tuple[CoarseToFineEstimator, Consensus]:
     """The fitted estimator and its consensus, or the earlier ones where fewer probe frames agree now."""
     if fitted is None:
         return before
     try:
-        consensus = _accepted_consensus(probe_frames, metadata, fitted)
+        consensus = _accepted_consensus(probe_frames, metadata, fitted, known)
     except VideoError:
         return before
     return (fitted, consensus) if consensus.inlier.sum() >= before[1].inlier.sum() else before

@@ -13,7 +13,7 @@ import numpy as np
 
 from ...tracker.angle import bending_angle
 from ...tracker.errors import VideoError
-from ...tracker.types import BoolArray, Detections, FloatArray, Frames
+from ...tracker.types import BoolArray, Detections, FloatArray, Frames, IntArray
 from ..inference.calibration import reference_peaks
 from ..inference.coarse_to_fine import CoarseToFineEstimator, EndRegressor
 from ..inference.crops import CropGeometry
@@ -64,6 +64,37 @@ FIXED, MOVING = slice(0, 2), slice(-2, None)
 
 STATIC_SHARE = 0.5
 """An end that moves by less than this share of the other end's motion is the fixed one."""
+
+
+@dataclass(frozen=True)
+class KnownEnds:
+    """What labels say of the actuator before it is looked for.
+
+    Attributes
+    ----------
+    fixed_xy : ndarray of float, shape (2,)
+        The first keypoint at the fixed end, px.
+    body_px : float
+        About the body's length, px.
+    rows : ndarray of int, shape (L,)
+        Labelled frames among the probe frames.
+    xy : ndarray of float, shape (L, K, 2)
+        Keypoints labelled there, px; NaN where not labelled.
+    """
+
+    fixed_xy: FloatArray
+    body_px: float
+    rows: IntArray
+    xy: FloatArray
+
+    def put_in(self, xy: FloatArray, likelihood: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Candidates (N, K, M, 2) px and their likelihoods (N, K, M) with the labelled ones in their place."""
+        xy, likelihood = xy.copy(), likelihood.copy()
+        labelled = ~np.isnan(self.xy).any(axis=2)
+        of_row, keypoint = np.nonzero(labelled)
+        xy[self.rows[of_row], keypoint] = self.xy[labelled][:, None]
+        likelihood[self.rows[of_row], keypoint] = 1.0
+        return xy, likelihood
 
 
 @dataclass(frozen=True)
@@ -212,7 +243,10 @@ class RegionView:
 
 
 def multi_frame_consensus(
-    probe_frames: Frames, metadata: CheckpointMetadata, estimator: CoarseToFineEstimator
+    probe_frames: Frames,
+    metadata: CheckpointMetadata,
+    estimator: CoarseToFineEstimator,
+    known: KnownEnds | None = None,
 ) -> Consensus:
     """Find the actuator that most probe frames agree on.
 
@@ -222,6 +256,8 @@ def multi_frame_consensus(
         RGB.
     metadata, estimator
         Of a network whose keypoints are a chain from the fixed end to the moving end.
+    known : KnownEnds, optional
+        From labels in some of these frames, in which the keypoints then stay where they are labelled.
 
     Raises
     ------
@@ -230,12 +266,12 @@ def multi_frame_consensus(
     """
     motion = motion_evidence(probe_frames) if estimator.stages.motion_evidence else None
     if motion is None or not motion.is_known:
-        return _consensus(probe_frames, metadata, estimator, None)
+        return _consensus(probe_frames, metadata, estimator, None, known)
     try:
-        return _consensus(probe_frames, metadata, estimator, motion)
+        return _consensus(probe_frames, metadata, estimator, motion, known)
     except VideoError:
         # What moves is no actuator: hands at work, say, next to one that rests.
-        return _consensus(probe_frames, metadata, estimator, None)
+        return _consensus(probe_frames, metadata, estimator, None, known)
 
 
 def _consensus(
@@ -243,6 +279,7 @@ def _consensus(
     metadata: CheckpointMetadata,
     estimator: CoarseToFineEstimator,
     motion: MotionEvidence | None,
+    known: KnownEnds | None,
 ) -> Consensus:
     """The consensus of the chains that fit what moves; of any where no motion is given."""
     h, w = probe_frames[0].shape[:2]
@@ -250,26 +287,42 @@ def _consensus(
 
     def candidates(region: RegionOfInterest) -> tuple[FloatArray, FloatArray, FloatArray]:
         xy, peak = estimator.candidate_peaks(probe_frames, region)
-        return xy, likelihood(peak), np.ones(peak.shape) if motion is None else motion.at(xy)
+        likely = likelihood(peak)
+        if known is not None:
+            xy, likely = known.put_in(xy, likely)
+        return xy, likely, np.ones(peak.shape) if motion is None else motion.at(xy)
 
     def search(region: RegionOfInterest) -> RegionView:
         return _view_of(region, *likeliest_points(*candidates(region)))
 
-    def search_chains(region: RegionOfInterest, fixed_xy: FloatArray | None, body_px: float) -> RegionView:
-        xy, peaks, moving = candidates(region)
-        return _view_of(region, *assemble_chain(xy, peaks, fixed_xy, body_px, moving))
+    def search_chains(xy: FloatArray, fixed_xy: FloatArray | None, body_px: float) -> RegionView:
+        """The better of two scales in the region of chains (N, K, 2) px."""
 
-    whole = [RegionOfInterest((w, h), 0, 0, w, h, min(1.0, side / max(w, h)), 1.0) for side in FIRST_SIDES]
-    best = max((search(region) for region in whole), key=lambda view: view.score)
-    # Twice more around the actuator, at the scale that fits it. Points found one by one do not say yet where it is
-    # fixed: their first may lie on something else.
-    for is_anchored in (False, True):
+        def at(side: int) -> RegionView:
+            region = _fitting_region(xy, (w, h), side, body_px)
+            found, peaks, moving = candidates(region)
+            chains = assemble_chain(found, peaks, fixed_xy, body_px, moving)
+            return _view_of(region, *chains, None if known is None else known.fixed_xy)
+
+        small, large = (at(side) for side in BODY_SIDES)
+        return large if large.score > small.score + CLEARLY_MORE else small
+
+    if known is not None:
+        around = known.fixed_xy + known.body_px * np.array([[[-1, -1], [1, 1]]])
+        best = search_chains(np.clip(around, 0, (w - 1, h - 1)), known.fixed_xy, known.body_px)
         xy = _anchored_chains(best)
-        fixed_xy = best.fixed_xy if is_anchored or motion is None else None
-        small, large = (
-            search_chains(_fitting_region(xy, (w, h), side), fixed_xy, _body_px(xy)) for side in BODY_SIDES
-        )
-        best = large if large.score > small.score + CLEARLY_MORE else small
+        best = search_chains(xy, known.fixed_xy, _body_px(xy))
+    else:
+        whole = [
+            RegionOfInterest((w, h), 0, 0, w, h, min(1.0, side / max(w, h)), 1.0) for side in FIRST_SIDES
+        ]
+        best = max((search(region) for region in whole), key=lambda view: view.score)
+        # Twice more around the actuator, at the scale that fits it. Points found one by one do not say yet where it
+        # is fixed: their first may lie on something else.
+        for is_anchored in (False, True):
+            xy = _anchored_chains(best)
+            fixed_xy = best.fixed_xy if is_anchored or motion is None else None
+            best = search_chains(xy, fixed_xy, _body_px(xy))
     body_px = _body_px(_anchored_chains(best))
     found = estimator.refine(probe_frames, best.xy, CropGeometry(best.region, metadata.reference))
     fixed_xy = np.median(found.xy[best.anchored, 0], axis=0)
@@ -331,10 +384,13 @@ def _at_fixed_end(xy: FloatArray, fixed_xy: FloatArray, body_px: float) -> BoolA
     return np.asarray(np.linalg.norm(xy[:, 0] - fixed_xy, axis=1) <= ANCHOR_SHARE * body_px)
 
 
-def _view_of(region: RegionOfInterest, xy: FloatArray, likelihood: FloatArray) -> RegionView:
-    """Take single frames together: where the fixed end is, and in which frames it is found there."""
+def _view_of(
+    region: RegionOfInterest, xy: FloatArray, likelihood: FloatArray, fixed_xy: FloatArray | None = None
+) -> RegionView:
+    """Take single frames together: where the fixed end is, if that is not known, and in which frames it is there."""
     clear = np.median(likelihood, axis=1) >= SEEN_LIKELIHOOD
-    fixed_xy = _static_end(xy[clear]) if clear.any() else np.full(2, np.nan)
+    if fixed_xy is None:
+        fixed_xy = _static_end(xy[clear]) if clear.any() else np.full(2, np.nan)
     xy, likelihood = from_fixed_end(xy, likelihood, fixed_xy)
     anchored = clear & _at_fixed_end(xy, fixed_xy, _body_px(xy[clear]))
     score = float(np.where(anchored, likelihood.mean(axis=1), 0.0).mean())
@@ -352,20 +408,21 @@ def _anchored_chains(view: RegionView) -> FloatArray:
     clear, anchored = (100 * float(share.mean()) for share in (view.clear, view.anchored))
     if clear < 100 * MIN_SEEN_SHARE:
         raise VideoError(
-            f"expected an actuator in sight, got one in {clear:.0f} % of the frames looked at; label some frames:"
-            " `bendtrack new`"
+            f"expected an actuator in sight, got one in {clear:.0f} % of the frames looked at; label one frame:"
+            " `bendtrack angle --label`"
         )
     if anchored < 100 * MIN_SEEN_SHARE:
         raise VideoError(
             f"expected an actuator that is held at one end, got one there in {anchored:.0f} % of the frames looked"
-            " at; label some frames: `bendtrack new`"
+            " at; label one frame: `bendtrack angle --label`"
         )
     return view.xy[view.anchored]
 
 
-def _fitting_region(xy: FloatArray, frame_wh: tuple[int, int], body_side: int) -> RegionOfInterest:
+def _fitting_region(
+    xy: FloatArray, frame_wh: tuple[int, int], body_side: int, body_px: float
+) -> RegionOfInterest:
     """Where bodies found at (N, K, 2) px can be, at the scale at which they are `body_side` input px long."""
-    body_px = _body_px(xy)
     region = region_of_interest(xy, frame_wh, body_px)
     fits = body_side / max(body_px, 1.0), FIRST_SIDES[-1] / max(region.width, region.height)
     return replace(region, locator_scale=min(1.0, *fits))

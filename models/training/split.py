@@ -15,7 +15,7 @@ MIN_FRAMES_TO_HOLD_OUT = 5
 def split(frames: Sequence[LabelledFrame], share: float, seed: int) -> tuple[list[int], list[int]]:
     """Split frames at random into training and held-out ones, actuator by actuator.
 
-    A frame that alone shows some keypoint is trained on.
+    A frame that alone shows some keypoint is trained on, and so is every one that nobody labelled.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def split(frames: Sequence[LabelledFrame], share: float, seed: int) -> tuple[lis
     rng = np.random.default_rng([seed, 1])
     held_out: list[int] = []
     for actuator in sorted({frame.actuator for frame in frames}):
-        own = [i for i, frame in enumerate(frames) if frame.actuator == actuator]
+        own = [i for i, frame in enumerate(frames) if frame.actuator == actuator and not frame.propagated]
         if share > 0 and len(own) >= MIN_FRAMES_TO_HOLD_OUT:
             count = min(len(own) - 1, max(1, round(share * len(own))))
             held_out += rng.choice(own, count, replace=False).tolist()

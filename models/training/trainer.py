@@ -394,7 +394,8 @@ class _Trainer:
             "step_kept": step,
             "minutes": round(state.elapsed_s / 60, 2),
             "held_out_px": None if math.isnan(held_out_px) else held_out_px,
-            "trained_on": [frame_id(data.frames[i]) for i in data.trained],
+            "trained_on": [frame_id(data.frames[i]) for i in data.trained if not data.frames[i].propagated],
+            "propagated": [frame_id(data.frames[i]) for i in data.trained if data.frames[i].propagated],
             "held_out": [frame_id(data.frames[i]) for i in data.held_out],
             "settings_and_labels_sha256": state.identity,
         }

@@ -55,12 +55,29 @@ class TrainingData:
 
     def identity(self, settings: TrainingSettings) -> str:
         """SHA-256 of everything that a resumed training must have in common with the stopped one."""
-        own = {**settings.to_dict(), "max_minutes": None}
-        digest = hashlib.sha256(json.dumps([own, list(self.keypoints)], sort_keys=True).encode())
-        for frame in self.frames:
+        return settings_and_labels_sha256(self.frames, self.keypoints, settings)
+
+
+def settings_and_labels_sha256(
+    frames: Sequence[LabelledFrame], keypoints: Sequence[str], settings: TrainingSettings
+) -> str:
+    """SHA-256 of what a network is trained with, which its checkpoint records.
+
+    Parameters
+    ----------
+    frames : sequence of LabelledFrame
+        Those without any label do not count.
+    keypoints : sequence of str
+    settings : TrainingSettings
+        The time limit does not count.
+    """
+    own = {**settings.to_dict(), "max_minutes": None}
+    digest = hashlib.sha256(json.dumps([own, list(keypoints)], sort_keys=True).encode())
+    for frame in frames:
+        if not np.isnan(frame.xy).all():
             digest.update(f"{frame_id(frame)} {frame.actuator}".encode())
             digest.update(np.ascontiguousarray(frame.xy, dtype=np.float64).tobytes())
-        return digest.hexdigest()
+    return digest.hexdigest()
 
 
 def load_training_data(

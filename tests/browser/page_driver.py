@@ -25,16 +25,16 @@ def browser_path() -> str | None:
 
 
 class Server:
-    """`bendtrack label` on a project, in a process of its own."""
+    """`bendtrack label` on a project, or another command that serves the page, in a process of its own."""
 
-    def __init__(self, command: Path, root: Path) -> None:
-        self._command, self.root = command, root
+    def __init__(self, command: Path, root: Path, *words: str | Path) -> None:
+        self._words, self.root = [command, *(words or ("label", root)), "--no-browser"], root
         self._process: subprocess.Popen[str] | None = None
 
     def start(self) -> str:
         """The address that it prints."""
         self._process = subprocess.Popen(
-            [self._command, "label", self.root, "--no-browser"],
+            self._words,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
@@ -46,6 +46,18 @@ class Server:
             if found := re.search(r"http://\S+", line):
                 return found[0]
         raise AssertionError(f"expected an address, got: {said}")
+
+    def interrupt(self) -> None:
+        """Ctrl-C in its terminal."""
+        assert self._process is not None
+        self._process.send_signal(signal.SIGINT)
+
+    def ended(self) -> tuple[int, str]:
+        """Wait for the command to end: its exit status, and what it printed since the address."""
+        assert self._process is not None
+        printed, _ = self._process.communicate()
+        status, self._process = self._process.returncode, None
+        return status, printed
 
     def kill(self) -> None:
         if self._process is not None:

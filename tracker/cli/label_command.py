@@ -58,6 +58,7 @@ def label(
     The page is served on this machine only, and needs no internet. Every edit is saved at once. Several pages, and
     several servers, can be open on one project.
     """
+    from ...labeling.repeatability import REPEAT_SHARE
     from ...labeling.serving import serve_labelling
     from ...labeling.store import LabelStore
     from ..atomic import remove_leftovers
@@ -74,11 +75,39 @@ def label(
         console.show(f"Labelling {folder.root} at {new_address()}")
         console.say("The address opens the page once. Everything is saved at once; Ctrl+C ends the server.")
 
-    more = {} if repeats is None else {"repeat_share": repeats}
+    share = REPEAT_SHARE if repeats is None else repeats
     try:
-        serve_labelling(folder, port=port, network=_network(folder, model), ready=ready, **more)
+        serve_labelling(folder, port=port, network=_network(folder, model), ready=ready, repeat_share=share)
     except KeyboardInterrupt:
         console.say("Ended; all labels are saved.")  # the usual end, so status 0
+
+
+def label_first(project: Project, no_browser: bool) -> None:
+    """Serve the page until all points of a frame are placed and the user goes on; at once where some frame has them.
+
+    Parameters
+    ----------
+    project : Project
+        With frames to label.
+    no_browser : bool
+        Whether the address is printed only.
+    """
+    import numpy as np
+
+    from ...labeling.serving import serve_labelling
+    from ...labeling.store import LabelStore
+
+    if any(np.isfinite(frame.xy).all() for frame in LabelStore.of(project).read()):
+        console.say(f"Labels: {project.root} (more: {console.command('label', project.root)})")
+        return
+
+    def ready(new_address: Callable[[], str]) -> None:
+        if not no_browser:
+            _open_browser(new_address())
+        console.show(f"Label one frame at {new_address()}")
+        console.say("Click its points, and press Measure on the page. Every click is saved at once.")
+
+    serve_labelling(project, ready=ready, until_finished=True)
 
 
 def _open_browser(address: str) -> None:
