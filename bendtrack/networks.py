@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from .reporting import SILENT, Reporter
 from .tracker.errors import BendtrackError, MissingPackageError
 from .tracker.extras import training_packages_needed
+from .tracker.video import video_stem
 
 if TYPE_CHECKING:
     from .models.detector import NetworkDetector
@@ -124,6 +125,28 @@ def measured_angle(
             " train again for the new one"
         )
     return definition
+
+
+def sign_for(project: ProjectFolder, network: NetworkDetector, video: Path) -> int:
+    """Give the sign of the angle in a video: its actuator's, as it was when the network was trained.
+
+    Parameters
+    ----------
+    project : tracker.project.Project
+        Which knows the actuator of each video.
+    network : NetworkDetector
+        The network.
+    video : Path
+        The video file.
+
+    Returns
+    -------
+    int
+        +1 or -1; the network's own for an actuator that it was not trained on.
+    """
+    signs = network.metadata.training.get("signs")
+    own = signs.get(project.actuator_of(video_stem(video))) if isinstance(signs, dict) else None
+    return own if own in (1, -1) else network.metadata.definition.sign
 
 
 class Localizer:

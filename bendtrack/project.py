@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, overload
 
 from . import model_folders, training
 from .measuring import network_line
-from .networks import load_network, measured_angle
+from .networks import load_network, measured_angle, sign_for
 from .reporting import SILENT, Reporter
 from .tracker.batch import Batch, VideoOutcome, check_writable, listed_videos, track_batch
 from .tracker.errors import BendtrackWarning, VideoError
@@ -479,6 +479,7 @@ class Project:
             overlay=overlay,
             force=force,
             counting=self._reporter.counting,
+            sign_of=lambda video: sign_for(self.folder, network, video),
         )
         self._reporter.say(network_line(network))
         yield from track_batch(batch, paths)

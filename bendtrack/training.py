@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from . import model_folders
 from .reporting import SILENT, Reporter
 from .tracker.atomic import atomic_write_text, remove_leftovers
-from .tracker.errors import BendtrackError, CheckpointError, LabelError, TrainingError
+from .tracker.errors import AngleError, BendtrackError, CheckpointError, LabelError, TrainingError
 from .tracker.extras import training_packages_needed
 from .tracker.folder_lock import FolderInUseError, folder_lock
 from .tracker.links import make_folder
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from .models.training.settings import TrainingSettings
     from .tracker.angle import AngleDefinition
     from .tracker.project import Project as ProjectFolder
-    from .tracker.types import LabelledFrame
+    from .tracker.types import FloatArray, LabelledFrame
 
 
 LEAST_SHARE_OF_STEPS = 0.25
@@ -229,6 +229,7 @@ def _train_locked(
                 resume=state.is_file(),  # it may have been stopped before it saved anything
                 started_s=started_s,
                 latest=model_folders.latest_training(project),
+                signs=signs_of(project, [*frames, *propagated]),
                 progress=progress,
             )
     except KeyboardInterrupt:
@@ -532,6 +533,33 @@ def angle_of(project: ProjectFolder, frames: Sequence[LabelledFrame]) -> AngleDe
     import numpy as np
 
     return project.angle_definition(np.stack([frame.xy for frame in frames]))
+
+
+def signs_of(project: ProjectFolder, frames: Sequence[LabelledFrame]) -> dict[str, int]:
+    """Give the sign of the angle for each actuator: two of them may bend to different sides of the picture.
+
+    Parameters
+    ----------
+    project : tracker.project.Project
+        Whose settings.
+    frames : sequence of LabelledFrame
+        Its labels.
+
+    Returns
+    -------
+    dict of str to int
+        Actuator -> +1 or -1; without the actuators whose labels do not tell.
+    """
+    import numpy as np
+
+    labelled: dict[str, list[FloatArray]] = {}
+    for frame in frames:
+        labelled.setdefault(frame.actuator, []).append(frame.xy)
+    signs = {}
+    for actuator, xy in labelled.items():
+        with suppress(AngleError):
+            signs[actuator] = project.angle_definition(np.stack(xy)).sign
+    return signs
 
 
 def refuse_both(model: str | None, folds: int | None) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ ASSUMED_SIGMA_PX = 1.0
 def labels_summary(
     project: Project,
     folders: Sequence[VideoFolder],
-    definition: AngleDefinition,
+    definition_of: Callable[[Sequence[VideoFolder]], AngleDefinition],
     repeatability: Repeatability | None,
 ) -> dict[str, Any]:
     """Summarise the labels of a project.
@@ -30,8 +30,8 @@ def labels_summary(
         The project.
     folders : sequence of VideoFolder
         All folders of the project.
-    definition : AngleDefinition
-        Its angle.
+    definition_of : callable
+        The angle in some folders, with the sign of what they show.
     repeatability : Repeatability or None
         The labeller's repeatability, None where it was not measured.
 
@@ -51,7 +51,7 @@ def labels_summary(
                 "n_frames": sum(len(folder.states) for folder in by_actuator[name]),
                 "sigma_px": round(sigma, 3),
                 "sigma_measured": repeatability is not None,
-                **_figures(by_actuator[name], project.keypoints, definition, sigma),
+                **_figures(by_actuator[name], project.keypoints, definition_of(by_actuator[name]), sigma),
             }
             for name in sorted(by_actuator)
         ],

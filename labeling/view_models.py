@@ -81,6 +81,12 @@ class ViewModels:
                 "points": list(definition.points),
                 "sign": definition.sign,
             },
+            "signs": {
+                name: self.definition(
+                    [folder for folder in folders if project.actuator_of(folder.video) == name]
+                ).sign
+                for name in sorted({project.actuator_of(folder.video) for folder in folders})
+            },
             "skeleton": [list(pair) for pair in pairwise(chain)],
             "actuators": sorted({project.actuator_of(folder.video) for folder in folders}),
             "model": None if self.predictions is None else self.predictions.name,
@@ -216,7 +222,7 @@ class ViewModels:
         """Return figures of the labels so far, the body of GET /api/summary."""
         folders = self._annotations.folders()
         repeatability = project_repeatability(self._annotations)
-        return labels_summary(self._annotations.project, folders, self.definition(folders), repeatability)
+        return labels_summary(self._annotations.project, folders, self.definition, repeatability)
 
     def next_repeat(self) -> dict[str, Any] | None:
         """Return the next frame for a blind repeat label, None while none is due."""
@@ -299,7 +305,7 @@ class ViewModels:
         return repeat_plan(folders, self._annotations.project.keypoints, recent, self._repeat_share)
 
     def definition(self, folders: Sequence[VideoFolder]) -> AngleDefinition:
-        """Return the project's angle definition, its sign estimated from the labels so far."""
+        """Return the angle definition of some videos of the project, its sign estimated from their labels so far."""
         project = self._annotations.project
         rows = [
             [state.points.get(name, (np.nan, np.nan)) for name in project.keypoints]

@@ -189,3 +189,11 @@ def trained_once(tmp_path_factory: pytest.TempPathFactory, bendtrack: Bendtrack)
 def trained_project(tmp_path: Path, trained_once: Path) -> Project:
     """The same with a network, 'model', that has learnt next to nothing."""
     return Project.open(shutil.copytree(trained_once, tmp_path / "study"))
+
+
+@pytest.fixture(scope="session")
+def arm_mirrored() -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Pictures of the arm that bends the other way, and their points (4, 2) px."""
+    angles = np.linspace(0, 100, 10)
+    labels = [arm_xy(angle) * (1, -1) + (0, SIZE_WH[1] - 1) for angle in angles]
+    return [arm_image(angle)[::-1] for angle in angles], labels

@@ -10,14 +10,18 @@ import signal
 import subprocess
 import time
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from safetensors.torch import load_file
 
 from bendtrack.labeling.store import LabelStore, image_name
+from bendtrack.models.detector import NetworkDetector
+from bendtrack.models.inference.metadata import WEIGHTS_FILE, read_metadata
 from bendtrack.models.training.settings import TrainingSettings
 from bendtrack.models.training.state import STATE_FILE
+from bendtrack.networks import sign_for
 from bendtrack.tracker.project import Project
 from bendtrack.tracker.synthetic.stream import TRAINING, Renderer, drawn_look
 
@@ -289,3 +293,24 @@ def test_which_keypoints_of_other_names_the_network_knew_is_said(bendtrack, tmp_
     ran = bendtrack("train", project.root)
     assert (ran.status, ran.err) == (0, "")
     assert "They knew root_1 as base_1, root_2 as base_2, top_1 as tip_1, top_2 as tip_2" in ran.out
+
+
+def test_every_actuator_has_its_own_sign(bendtrack, project: Project, arm_mirrored: tuple) -> None:
+    """Two actuators that bend to different sides of the picture: both bend by positive angles."""
+    images, labels = arm_mirrored
+    store = LabelStore.of(project)
+    for index, image in enumerate(images):
+        store.add_image("mirrored", image_name(index), image)
+    store.write("mirrored", {image_name(index): xy for index, xy in enumerate(labels)})
+    project.assign_actuator("other", ["mirrored"])
+    assert bendtrack("train", project.root).status == 0
+    checkpoint = read_metadata(project.models_dir / "model" / WEIGHTS_FILE)
+    assert checkpoint.training["signs"] == {"default": 1, "other": -1}
+    network = NetworkDetector.load(project.models_dir / "model", engine="torch")
+    own = Project.open(project.root)
+    signs = [sign_for(own, network, Path(f"{stem}.mp4")) for stem in ("arm", "mirrored", "new")]
+    assert signs == [1, -1, 1]
+    # An earlier network, or one that someone has changed.
+    for stored in ({}, {"signs": [1]}, {"signs": {"other": "-"}}):
+        network.metadata = replace(network.metadata, training=stored)
+        assert sign_for(own, network, Path("mirrored.mp4")) == network.metadata.definition.sign

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
@@ -43,6 +43,9 @@ from .video import spread_frames
 
 PROBE_FRAMES = 32
 """Frames in which an actuator is looked for that nobody has labelled."""
+
+BACKWARDS_DEG = 20.0
+"""Where the frames that bend most are this far below 0, the sign may be another actuator's, degrees."""
 
 MOST_ELONGATED = 50
 """Longer over shorter side of a frame beyond which no actuator is looked for: scaled down, nothing is left of it."""
@@ -156,6 +159,8 @@ class Batch:
         Finds the keypoints.
     definition : AngleDefinition or None
         The angle. None localizes the actuator in each video first, by `localize`.
+    sign_of : callable or None
+        From a video file to the sign of its angle; None takes the definition's own for all.
     folder : Path
         Receives the results.
     localize : callable or None
@@ -178,6 +183,13 @@ class Batch:
     overlay: bool = False
     force: bool = False
     counting: Counting = _silent
+    sign_of: Callable[[Path], int] | None = None
+
+    def definition_for(self, video: Path) -> AngleDefinition | None:
+        """The angle of one video."""
+        if self.definition is None or self.sign_of is None:
+            return self.definition
+        return replace(self.definition, sign=self.sign_of(video))
 
     @property
     def options(self) -> dict[str, Any]:
@@ -260,7 +272,7 @@ def measured(
     VideoError
         The video cannot be read, or no actuator can be seen in it.
     """
-    detector, definition = batch.detector, batch.definition
+    detector, definition = batch.detector, batch.definition_for(video)
     # Without labels nobody said where the actuator is: every row is held against its neighbours.
     unlabelled = definition is None
     if definition is None:
@@ -426,7 +438,8 @@ def _track_one(batch: Batch, video: Path, figures: _Figures) -> VideoOutcome:
     overlay_path = folder / f"{stem}{OVERLAY_SUFFIX}"
     for name in {stem, figure_path.stem, overlay_path.stem}:
         remove_leftovers(folder, name)
-    settings = None if batch.definition is None else tracking_settings(batch.definition, **batch.options)
+    definition = batch.definition_for(video)
+    settings = None if definition is None else tracking_settings(definition, **batch.options)
     seconds = 0.0
     if not batch.force and is_up_to_date(folder, stem, sha256, batch.detector.provenance, settings):
         state, table, csv_path = State.UP_TO_DATE, read_results(folder / f"{stem}.h5"), folder / f"{stem}.csv"
@@ -438,7 +451,12 @@ def _track_one(batch: Batch, video: Path, figures: _Figures) -> VideoOutcome:
     said, complete = table.provenance["warnings"], table.provenance["video"]["complete"]
     warnings += [f"{video}: {warning}" for warning in said] if complete else []
     sound = float((table.flag == "").mean()) if len(table) else 0.0
-    if batch.definition is None and sound < LEAST_SOUND:
+    if _bends_backwards(table):
+        warnings.append(
+            f"{video}: expected angles above 0 where it bends most, got angles below: if it bends the other way than"
+            " the labelled actuator, name it as an actuator of its own in bendtrack.toml and label a frame of it"
+        )
+    if definition is None and sound < LEAST_SOUND:
         warnings.append(
             f"{video}: expected the actuator in most frames, got it without a flag in {100 * sound:.0f} %, and those"
             " may be wrong too; look at --overlay, or label one frame: `bendtrack angle --label`"
@@ -463,6 +481,13 @@ def _track_one(batch: Batch, video: Path, figures: _Figures) -> VideoOutcome:
         tuple(warnings),
         None if complete else f"damaged, tracked as far as it goes: {'; '.join(said)}",
     )
+
+
+def _bends_backwards(table: AngleTable) -> bool:
+    """Whether the frames that bend most bend to the side that counts as negative, by more than a doubtful bit."""
+    angle_deg = table.angle_deg[np.isfinite(table.angle_deg) & (table.flag == "")]
+    strongest = angle_deg[np.argsort(-np.abs(angle_deg), kind="stable")][: max(1, angle_deg.size // 4)]
+    return bool(strongest.size and np.median(strongest) < -BACKWARDS_DEG)
 
 
 def _hash_of(video: Path) -> str:

@@ -5,6 +5,11 @@ import { arcAngle } from "./arc_fit.js";
 
 const COINCIDENT_PX = 1e-3;
 
+/** The project's definition with the sign of the actuator that a frame shows; frame may be null. */
+export function definitionOf(project, frame) {
+  return { ...project.definition, sign: project.signs[frame?.actuator] ?? project.definition.sign };
+}
+
 /** Degrees, or null where a point of the chain is missing or two neighbours coincide.
  *  points: {keypoint: [x, y]|null}; definition: {name, points, sign}. */
 export function bendingAngleDeg(points, definition) {

@@ -177,8 +177,9 @@ async function start() {
     await new Promise((resolve) => setTimeout(resolve, LIST_AGAIN_MS));
     signAsked = false;
     const fresh = await get("/api/project").catch(() => null);
-    if (!fresh || fresh.definition.sign === project.definition.sign) return;
-    project.definition = fresh.definition;
+    const settled = ({ definition, signs }) => JSON.stringify([definition.sign, signs]);
+    if (!fresh || settled(fresh) === settled(project)) return;
+    Object.assign(project, { definition: fresh.definition, signs: fresh.signs });
     refreshMarks();
   }
 

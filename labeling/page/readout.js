@@ -1,6 +1,6 @@
 // Text about the open frame: the angle, the hint, the pointer's position, the panel on the right.
 
-import { bendingAngleDeg, endVectorsPx } from "./angle.js";
+import { bendingAngleDeg, definitionOf, endVectorsPx } from "./angle.js";
 import { byId } from "./elements.js";
 import { formatAngle } from "./marks.js";
 import { swatch } from "./palette.js";
@@ -13,7 +13,7 @@ const DEFINITION_TEXT = {
 };
 
 export function showAngle(project, open) {
-  const definition = project.definition;
+  const definition = definitionOf(project, open.frame);
   byId("angle-name").title = DEFINITION_TEXT[definition.name] ?? "";
   byId("angle-name").textContent = open.isRepeat ? "Blind repeat" : "Bending angle";
   const angle = open.isRepeat ? null : bendingAngleDeg(open.points, definition);

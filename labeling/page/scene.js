@@ -1,6 +1,6 @@
 // The scene: everything that is drawn on the image at the moment, from the project, the open frame and the pointer.
 
-import { bendingAngleDeg } from "./angle.js";
+import { bendingAngleDeg, definitionOf } from "./angle.js";
 
 // A label this far from the network's prediction is worth a second look; on a frame of another size, in
 // proportion. Where the network knows how sure it is, three standard deviations count too.
@@ -10,7 +10,7 @@ const DISAGREEMENT_SD = 3;
 
 /** project: as the server gives it; the rest: the parts of the page that the scene depends on. */
 export function makeScene(project, { open, view, pointer, options }) {
-  const definition = project.definition;
+  const definition = definitionOf(project, open.frame);
   const suggestions = open.isRepeat ? {} : (open.frame?.suggestions ?? {});
   const dragged = pointer.dragged;
   const cursor = options.keyboardCursor ?? pointer.over;

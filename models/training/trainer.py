@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import signal
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -102,6 +102,7 @@ def train(
     resume: bool = False,
     started_s: float | None = None,
     latest: datetime | None = None,
+    signs: Mapping[str, int] | None = None,
     progress: Callable[[Progress], None] | None = None,
     evaluate_every: int = EVALUATE_EVERY,
 ) -> Checkpoint:
@@ -125,6 +126,8 @@ def train(
         resumed training, the time that was used before counts too.
     latest : datetime, optional
         When the newest network next to this one was trained: the time that the checkpoint records is later than it.
+    signs : mapping from str to int, optional
+        The angle's sign for each actuator, recorded in the checkpoint; the definition's own holds for all others.
     progress : callable, optional
         Called after each step.
     evaluate_every : int
@@ -153,7 +156,8 @@ def train(
     trainer = _Trainer(data, definition, Path(folder), settings, evaluate_every, resume=resume)
     trainer.run(started_s, progress)
     checkpoint = trainer.finish()
-    checkpoint = replace(checkpoint, training={**checkpoint.training, "trained_at": later_than(latest)})
+    training = {**checkpoint.training, "trained_at": later_than(latest), "signs": dict(signs or {})}
+    checkpoint = replace(checkpoint, training=training)
     check_still_there(Path(folder))
     checkpoint.save(Path(folder))
     trainer.state_file.unlink(missing_ok=True)

@@ -28,6 +28,8 @@ def test_the_project_is_described(page) -> None:
         "points": ["base_1", "base_2", "tip_1", "tip_2"],
         "sign": 1,
     }
+    assert project["signs"] == {"default": 1}
+    assert project["can_finish"] is False
     assert project["model"] is None
 
 

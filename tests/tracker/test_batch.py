@@ -108,3 +108,24 @@ def test_no_actuator_is_looked_for_without_a_sound_frame(film, tmp_path: Path, m
     )
     with pytest.raises(VideoError, match="expected frames that are sound, got none"):
         measured(batch, video)
+
+
+def test_each_video_has_the_sign_of_its_own_actuator(film, tmp_path: Path) -> None:
+    left, right = (
+        film.encode(tmp_path / f"{name}.mp4", [film.draw_arm(angle)] * 3, codec="mpeg4")
+        for name, angle in (("left", -40.0), ("right", 40.0))
+    )
+    definition = AngleDefinition("two-vector", film.keypoints)
+    signs = {"left": -1, "right": 1}
+    own = Batch(film.DiscDetector(), definition, tmp_path / "own", sign_of=lambda video: signs[video.stem])
+    tracked = list(track_batch(own, [left, right]))
+    assert [round(float(outcome.table.angle_deg[0]), -1) for outcome in tracked] == [40, 40]
+    assert not any("bends the other way" in warning for outcome in tracked for warning in outcome.warnings)
+    assert [outcome.state for outcome in track_batch(own, [left, right])] == [State.UP_TO_DATE] * 2
+    # With one sign for both, what bends the other way is said.
+    for _ in range(2):  # also where it is up to date
+        backwards, forwards = track_batch(
+            Batch(film.DiscDetector(), definition, tmp_path / "one"), [left, right]
+        )
+        assert "left.mp4: expected angles above 0" in backwards.warnings[0]
+        assert forwards.warnings == ()

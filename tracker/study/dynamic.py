@@ -353,7 +353,12 @@ def _angle_warnings(measured: MeasuredCycles, drift: Estimate, area: Estimate) -
             f"the angle near its largest is not smooth: the branches lie {measured.largest.misfit_deg:.2f} deg off "
             f"the frames beyond their noise, which widens the interval"
         )
-    if area.value < 0:
+    if measured.largest.deg.size and (measured.largest.deg < 0).all():
+        found.append(
+            "the angles are negative where the pressure is highest: the sign is another actuator's, or the film is"
+            " mirrored (angle.sign in bendtrack.toml, or an actuator of its own)"
+        )
+    elif area.value < 0:
         found.append(
             "the loop runs the other way round (the angle leads the pressure): look at the clocks' shift"
         )
