@@ -59,6 +59,9 @@ DEFINITION = AngleDefinition("two-vector", ENDS)
 SIZE_WH = (640, 480)
 NOISE_PX = 1.0
 OTHER_LIGHT = "light"
+NORMAL_95 = 1.96
+"""Half of the 95 % interval of a normal distribution, in standard deviations."""
+
 LEAST_SEEN = 0.5
 """Share of the frames that must show all points for a look to say anything: a ruler may lie on an end."""
 
@@ -118,6 +121,9 @@ class Result:
     found : share of those frames with an angle; without labels, of those that are not flagged
     sound_deg, sound : the same of frames that are not flagged, with labels too
     within : share of those that are off by at most one of their standard deviations
+    within_95 : share of those whose 95 % interval holds the truth
+    offset_deg, scatter_deg : mean of their errors, and standard deviation about it
+    stated_deg : median of their standard deviations
     minutes : of training
     """
 
@@ -126,10 +132,14 @@ class Result:
     sound_deg: float
     sound: float
     within: float
+    within_95: float = 0.0
+    offset_deg: float = float("nan")
+    scatter_deg: float = float("nan")
+    stated_deg: float = float("nan")
     minutes: float = 0.0
 
 
-NOTHING = Result(float("nan"), 0.0, float("nan"), 0.0, 0.0)
+NOTHING = Result(float("nan"), 0.0, float("nan"), 0.0, within=0.0)
 
 
 def judged(
@@ -145,8 +155,18 @@ def judged(
     figures = [
         (rms(error[some]) if some.any() else float("nan"), float(some.mean())) for some in (known, sound)
     ]
-    within = np.abs(error[sound]) <= table.angle_sd_deg[rest][sound]
-    return Result(*figures[0], *figures[1], float(within.mean()) if sound.any() else 0.0)
+    if not sound.any():
+        return Result(*figures[0], *figures[1], 0.0)
+    off, sd = error[sound], table.angle_sd_deg[rest][sound]
+    return Result(
+        *figures[0],
+        *figures[1],
+        within=float((np.abs(off) <= sd).mean()),
+        within_95=float((np.abs(off) <= NORMAL_95 * sd).mean()),
+        offset_deg=float(off.mean()),
+        scatter_deg=float(off.std()),
+        stated_deg=float(np.median(sd)),
+    )
 
 
 def judged_unlabelled(film: Film, network: Path) -> Result:

@@ -17,7 +17,7 @@ from typing import Any
 
 from ..tracker.errors import BendtrackWarning, CheckpointError
 from ..tracker.hashing import file_sha256
-from ..tracker.types import Detections, Frames
+from ..tracker.types import Correlation, Detections, Frames
 from .inference.coarse_to_fine import CoarseToFineEstimator
 from .inference.crops import CropGeometry
 from .inference.metadata import CheckpointMetadata, read_metadata, weights_file
@@ -187,6 +187,16 @@ class NetworkDetector:
         return self.metadata.keypoints
 
     @property
+    def correlations(self) -> tuple[Correlation, ...]:
+        """Keypoints whose errors go together, where their ends are regressed."""
+        return self.metadata.correlations if self.stages.end_regression else ()
+
+    @property
+    def label_variance_px2(self) -> float:
+        """Variance of each point that its labels' errors leave, px^2."""
+        return self.metadata.calibration.label_variance_px2
+
+    @property
     def stages(self) -> StageSettings:
         """Which stages of inference run."""
         return self._estimator.stages
@@ -318,6 +328,8 @@ class TrackingDetector:
         self.keypoints = own.keypoints
         self.provenance = own.provenance
         self.detect = tracker.detect
+        self.correlations = own.correlations
+        self.label_variance_px2 = own.label_variance_px2
         self.skip_frames = tracker.skip_frames
 
 

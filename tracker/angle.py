@@ -32,7 +32,7 @@ import numpy as np
 
 from .arc_fit import arc_angle
 from .errors import AngleError
-from .types import FloatArray
+from .types import Correlation, FloatArray
 
 _LEAST_POINTS = {"two-vector": 4, "three-point": 3, "chord": 3, "arc-fit": 3}
 DEFINITIONS = tuple(_LEAST_POINTS)
@@ -131,6 +131,7 @@ def bending_angle(
     keypoints: Sequence[str],
     definition: AngleDefinition,
     covariance: FloatArray | None = None,
+    correlations: Sequence[Correlation] = (),
 ) -> tuple[FloatArray, FloatArray, np.ndarray]:
     """Bending angle of every frame, and its standard deviation to first order.
 
@@ -143,7 +144,9 @@ def bending_angle(
     definition : AngleDefinition
         Which angle, of which points, with which sign.
     covariance : ndarray of float or None, optional
-        (T, K, 2, 2) px^2 of the positions (errors of different points are taken as independent).
+        (T, K, 2, 2) px^2 of the positions.
+    correlations : sequence of Correlation, optional
+        Of points whose errors go together; those of all others are taken as independent.
 
     Returns
     -------
@@ -176,13 +179,28 @@ def bending_angle(
     if covariance is not None:
         if covariance.shape != (*xy.shape, 2):
             raise ValueError(f"expected covariance {(*xy.shape, 2)}, got {covariance.shape}")
+        names = definition.points
         chain_covariance = covariance[:, _chain_index(keypoints, definition)]
         if definition.name == "chord":
-            chain_covariance = chain_covariance[:, [0, 1, -1]]
+            names, chain_covariance = (*names[:2], names[-1]), chain_covariance[:, [0, 1, -1]]
         variance = np.einsum("tki,tkij,tkj->t", gradient, chain_covariance, gradient)
+        for first, second, coefficient in correlations:
+            if first in names and second in names:
+                k, p = names.index(first), names.index(second)
+                # Both points of an end turn it by what moves them apart: their gradients are opposite.
+                own, other = (_times_root(gradient[:, i], chain_covariance[:, i]) for i in (k, p))
+                variance += 2 * coefficient * (own * other).sum(axis=1)
         # Rounding can leave a variance a hair under zero; NaN stays NaN.
         angle_sd_deg = np.degrees(np.sqrt(np.maximum(variance, 0.0)))
     return angle_deg, angle_sd_deg, coincident
+
+
+def _times_root(gradient: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Gradients (T, 2) times the Cholesky factors of covariances (T, 2, 2), (T, 2)."""
+    first = np.sqrt(np.maximum(covariance[:, 0, 0], 0.0))
+    below = covariance[:, 1, 0] / np.where(first > 0, first, 1.0)
+    second = np.sqrt(np.maximum(covariance[:, 1, 1] - below**2, 0.0))
+    return np.stack([gradient[:, 0] * first + gradient[:, 1] * below, gradient[:, 1] * second], axis=1)
 
 
 def sign_from_labels(xy: FloatArray, keypoints: Sequence[str], definition: AngleDefinition) -> int:

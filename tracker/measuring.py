@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from .angle import AngleDefinition, bending_angle
 from .errors import AngleError
-from .types import Detections, Flag, FloatArray
+from .types import Correlation, Detections, Flag, FloatArray
 
 # DeepLabCut's pcutoff, which users know.
 MIN_LIKELIHOOD = 0.6
@@ -70,6 +70,7 @@ def measure(
     damaged: np.ndarray,
     min_likelihood: float = MIN_LIKELIHOOD,
     check_jumps: bool = False,
+    correlations: Sequence[Correlation] = (),
 ) -> AngleRows:
     """The bending angle of frames, with a flag on every row that is missing or to be doubted.
 
@@ -90,13 +91,17 @@ def measure(
     check_jumps : bool, optional
         Whether the temporal-consistency check runs: a row whose angle differs from those of the frames around it
         is flagged `jump`.
+    correlations : sequence of Correlation, optional
+        As `bending_angle`'s.
 
     Returns
     -------
     AngleRows
         Angle, standard deviation and flag of each frame.
     """
-    angle_deg, angle_sd_deg, coincident = bending_angle(found.xy, keypoints, definition, found.covariance)
+    angle_deg, angle_sd_deg, coincident = bending_angle(
+        found.xy, keypoints, definition, found.covariance, correlations
+    )
     chain = [keypoints.index(point) for point in definition.points]
     outside = _outside(found.xy[:, chain], size_wh)
     for lost in (coincident, outside):

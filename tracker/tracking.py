@@ -17,12 +17,21 @@ from typing import Any
 
 import numpy as np
 
-from .angle import AngleDefinition
+from .angle import AngleDefinition, bending_angle
 from .hashing import file_sha256
 from .measuring import MIN_LIKELIHOOD, check_points, measure
 from .prefetch import parallel_map, read_ahead
 from .results import AngleTable, json_ready
-from .types import Detections, Detector, Flag, FloatArray, Frames, ImageArray, VideoDetector
+from .types import (
+    Detections,
+    Detector,
+    Flag,
+    FloatArray,
+    Frames,
+    ImageArray,
+    TrainedDetector,
+    VideoDetector,
+)
 from .video import Video
 
 # Batches decoded ahead of those in use, in addition to the one being decoded.
@@ -132,6 +141,7 @@ def track(
         damaged=np.array(damaged),
         min_likelihood=min_likelihood,
         check_jumps=check_jumps,
+        correlations=detector.correlations if isinstance(detector, TrainedDetector) else (),
     )
     provenance = {
         "bendtrack": version("bendtrack"),
@@ -153,6 +163,7 @@ def track(
         "detector": detector.provenance,
         "settings": tracking_settings(definition, min_likelihood, check_jumps),
         "warnings": source.warnings,
+        "uncertainty": _components(detector, definition, detections.xy, rows.angle_sd_deg),
         "rows": {kind.value or "sound": int((rows.flag == kind).sum()) for kind in Flag},
     }
     return AngleTable(
@@ -167,6 +178,27 @@ def track(
         definition=definition,
         provenance=json_ready(provenance),
     )
+
+
+def _components(
+    detector: Detector, definition: AngleDefinition, xy: FloatArray, sd_deg: FloatArray
+) -> dict[str, float] | None:
+    """The two parts of the angle's standard deviation, each as its median over the frames; None without labels.
+
+    The error that the labels leave is one offset of the whole film; the rest scatters from frame to frame.
+    """
+    if not isinstance(detector, TrainedDetector) or not detector.label_variance_px2:
+        return None
+    of_labels = np.broadcast_to(np.eye(2) * detector.label_variance_px2, (*xy.shape, 2))
+    _, offset_deg, _ = bending_angle(xy, detector.keypoints, definition, of_labels)
+    known = np.isfinite(sd_deg) & np.isfinite(offset_deg)
+    if not known.any():
+        return None
+    scatter_deg = np.sqrt(np.maximum(sd_deg[known] ** 2 - offset_deg[known] ** 2, 0.0))
+    return {
+        "offset_sd_deg": float(np.median(offset_deg[known])),
+        "scatter_sd_deg": float(np.median(scatter_deg)),
+    }
 
 
 def tracking_settings(

@@ -19,7 +19,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,6 +84,22 @@ class Detections:
             )
 
 
+class Correlation(NamedTuple):
+    """Two points whose errors go together, because one measurement gives both.
+
+    Attributes
+    ----------
+    first, second : str
+        Names of the keypoints.
+    coefficient : float
+        Of correlation of their errors in the same direction, -1 to 1.
+    """
+
+    first: str
+    second: str
+    coefficient: float
+
+
 class Detector(Protocol):
     """Anything that finds keypoints in frames: a network, a compiled engine, an oracle in a test."""
 
@@ -112,6 +128,19 @@ class Detector(Protocol):
         Detections
             Keypoints of the N frames.
         """
+
+
+@runtime_checkable
+class TrainedDetector(Detector, Protocol):
+    """A detector that knows how its errors go together, for the angle's standard deviation."""
+
+    @property
+    def correlations(self) -> Sequence[Correlation]:
+        """Pairs of keypoints whose errors go together."""
+
+    @property
+    def label_variance_px2(self) -> float:
+        """Variance of each point that its labels' errors leave, the same in all frames, px^2; 0 without labels."""
 
 
 @runtime_checkable

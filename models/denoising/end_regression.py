@@ -85,7 +85,7 @@ def fit_end_regression(
     """
     geometry = FrameGeometry.of(regions, reference, videos)
     rng = np.random.default_rng([seed, 3])
-    fitted: list[tuple[list[int], Tensor, Tensor]] = []
+    fitted: list[tuple[list[int], Tensor, Tensor, float]] = []
     for end, rows in moving_ends(xy, known, geometry):
         every = -(-len(rows) * MIN_CROPS_PER_FRAME // MAX_CROPS)
         used = rows[::every]
@@ -103,9 +103,10 @@ def fit_end_regression(
         return None
     regressor = EndRegressionNetwork(len(fitted))
     regressor.first.load_state_dict(features.state_dict())
-    for number, (end, slope, rest) in enumerate(fitted):
+    for number, (end, slope, rest, turn_sd_rad) in enumerate(fitted):
         regressor.ends[number] = torch.tensor(end)
         regressor.slope[number], regressor.rest[number] = slope, rest
+        regressor.turn_sd_rad.append(turn_sd_rad)
     return regressor.to(features.mean.device).eval()
 
 
@@ -155,8 +156,8 @@ class _EndCrops:
         return features
 
 
-def _ridge_regression(crops: _EndCrops, rng: np.random.Generator) -> tuple[Tensor, Tensor] | None:
-    """Slope (3, C, h, w) and intercept (3,) of an end, as `EndRegressionNetwork`'s `slope` and `rest`.
+def _ridge_regression(crops: _EndCrops, rng: np.random.Generator) -> tuple[Tensor, Tensor, float] | None:
+    """Slope (3, C, h, w), intercept (3,) and turn's sd of an end, as `EndRegressionNetwork` has them.
 
     None where the rotation cannot be regressed on held-out frames (`MAX_UNEXPLAINED`).
     """
@@ -185,7 +186,8 @@ def _ridge_regression(crops: _EndCrops, rng: np.random.Generator) -> tuple[Tenso
     per_unit = (x.T.double() @ _dual_weights(gram, y, best * scale)).T
     slope = per_unit * torch.from_numpy(unit).to(x.device)[:, None] * weight.flatten()
     intercept = -slope @ (mean.flatten() + middle / weight.flatten()).double()
-    return slope.unflatten(1, mean.shape).float(), intercept.float()
+    turn_sd_rad = PERTURBATION_SD_RAD * float(errors[best][2]) ** 0.5
+    return slope.unflatten(1, mean.shape).float(), intercept.float(), turn_sd_rad
 
 
 def _cross_validated_error(gram: Tensor, y: Tensor, fold: Tensor, penalty: float) -> Tensor:

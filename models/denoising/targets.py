@@ -116,6 +116,23 @@ class TargetDenoiser:
             )
         return positions, denoised
 
+    def resting(self, found: FloatArray) -> FloatArray:
+        """Places (N, K, 2) px of the keypoints that rest in their video, NaN of those that move.
+
+        Parameters
+        ----------
+        found : (N, K, 2) float array
+            Predictions, px.
+        """
+        positions, denoised = self.denoised(found)
+        resting = np.full_like(positions, np.nan)
+        for _, of_video in self.geometry.frames_by_video():
+            for k in range(positions.shape[1]):
+                rows = of_video & denoised[:, k]
+                if rows.sum() > 1 and not np.ptp(positions[rows, k], axis=0).any():
+                    resting[rows, k] = positions[rows, k]
+        return resting
+
     def end_regressor(self, found: FloatArray, seed: int) -> EndRegressionNetwork | None:
         """The end-pose regressor, fitted on denoised positions. Needs `features`.
 

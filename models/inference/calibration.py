@@ -20,6 +20,13 @@ from ...tracker.types import BoolArray, Detections, FloatArray
 MEDIAN_CHI2 = float(np.log(4.0))
 """Median squared Mahalanobis distance of a two-dimensional Gaussian."""
 
+LEAST_RESTING_SCALE = 0.25
+"""A keypoint at rest is not called more certain than half of the network's own standard deviation: another film may
+show it a little differently."""
+
+MOST_CORRELATED = 0.98
+"""Correlation of the errors of an end's two points is not taken for more."""
+
 MIN_REFERENCE_PEAK = 0.2
 """A network with a lower reference peak has not learnt the keypoint: its likelihoods are not raised further."""
 
@@ -39,17 +46,31 @@ class Calibration:
         Labels that a keypoint was learnt from.
     reference_peak : tuple of float
         For each of K keypoints the median peak in labelled frames; empty where none is known.
+    resting_scale : tuple of float
+        For each of K keypoints a further factor on the network's own covariances, below 1 for a keypoint that rests and
+        is found there more steadily than the network says; empty for 1.
+    end_correlation : tuple of (int, int, float)
+        For each moving end its two keypoints, and the correlation of their errors: the end is regressed as one rigid
+        piece, so its direction is known better than two points found by themselves would give it.
     """
 
     scale: float = 1.0
     label_sd_px: float = 0.0
     n_labels: int = 1
     reference_peak: tuple[float, ...] = ()
+    resting_scale: tuple[float, ...] = ()
+    end_correlation: tuple[tuple[int, int, float], ...] = ()
 
     def apply(self, found: Detections) -> Detections:
         """Detections (N, K) with calibrated likelihoods and covariances, from the network's own."""
-        covariance = found.covariance * self.scale + np.eye(2) * (self.label_sd_px**2 / self.n_labels)
+        scale = self.scale * np.asarray(self.resting_scale or 1.0)[..., None, None]
+        covariance = found.covariance * scale + np.eye(2) * self.label_variance_px2
         return replace(found, covariance=covariance, likelihood=self.likelihood(found.likelihood))
+
+    @property
+    def label_variance_px2(self) -> float:
+        """Variance of the labels' mean along either axis, px^2."""
+        return self.label_sd_px**2 / self.n_labels
 
     def likelihood(self, peak: FloatArray) -> FloatArray:
         """Likelihoods in [0, 1] from peaks (N, K, ...) of heatmaps."""
@@ -68,12 +89,21 @@ class Calibration:
             "label_sd_px": self.label_sd_px,
             "n_labels": self.n_labels,
             "usual_peak": list(self.reference_peak),
+            "resting_scale": list(self.resting_scale),
+            "end_correlation": [list(end) for end in self.end_correlation],
         }
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> Calibration:
         """The calibration that `to_dict` wrote."""
-        return cls(values["scale"], values["label_sd_px"], values["n_labels"], tuple(values["usual_peak"]))
+        return cls(
+            values["scale"],
+            values["label_sd_px"],
+            values["n_labels"],
+            tuple(values["usual_peak"]),
+            tuple(values.get("resting_scale", ())),
+            tuple((int(k), int(p), float(r)) for k, p, r in values.get("end_correlation", ())),
+        )
 
 
 def calibrate(
@@ -102,6 +132,63 @@ def calibrate(
     if held is not None and held_labels is not None:
         scale = spread_scale(held, held_labels, label_sd**2 * (1 + 1 / n))
     return Calibration(scale, label_sd, n, reference_peaks(trained.likelihood, known))
+
+
+def resting_scale(found: Detections, resting_xy: FloatArray) -> tuple[float, ...]:
+    """The factor on the network's own covariances that explains how far resting keypoints are found from their place.
+
+    Parameters
+    ----------
+    found : Detections
+        (N, K).
+    resting_xy : ndarray of float, shape (N, K, 2)
+        The place of a keypoint that rests, px; NaN for one that moves.
+
+    Returns
+    -------
+    tuple of float
+        For each keypoint `LEAST_RESTING_SCALE` to 1; 1 for those that move.
+    """
+    off = found.xy - resting_xy
+    scales = []
+    for k in range(off.shape[1]):
+        rests = ~np.isnan(off[:, k]).any(axis=1)
+        own, covariance = off[rests, k], found.covariance[rests, k]
+        distance2 = np.einsum("ni,nij,nj->n", own, np.linalg.inv(covariance), own)
+        scale = float(np.median(distance2)) / MEDIAN_CHI2 if rests.any() else 1.0
+        scales.append(float(np.clip(scale, LEAST_RESTING_SCALE, 1.0)))
+    return tuple(scales)
+
+
+def end_correlation(
+    found: Detections, end: tuple[int, int], turn_sd_rad: float, label_variance: float
+) -> float:
+    """Correlation of the errors of an end's two points at which its direction is as uncertain as it is known to be.
+
+    Parameters
+    ----------
+    found : Detections
+        (N, K), calibrated.
+    end : (int, int)
+        The two keypoints.
+    turn_sd_rad : float
+        Standard deviation of the end's direction from frame to frame, rad.
+    label_variance : float
+        Of each point's mean label, px^2: the labels' errors are independent.
+
+    Returns
+    -------
+    float
+        0 to `MOST_CORRELATED`; 0 where the two points by themselves are not more uncertain.
+    """
+    along = found.xy[:, end[1]] - found.xy[:, end[0]]
+    length = np.linalg.norm(along, axis=1)
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1) / length[:, None]
+    first, second = (np.einsum("ni,nij,nj->n", across, found.covariance[:, k], across) for k in end)
+    wanted = (turn_sd_rad * length) ** 2 + 2 * label_variance
+    correlation = (first + second - wanted) / (2 * np.sqrt(first * second))
+    known = correlation[np.isfinite(correlation)]
+    return float(np.clip(np.median(known), 0.0, MOST_CORRELATED)) if known.size else 0.0
 
 
 def typical_scale(found: Detections, truth: FloatArray) -> float:

@@ -19,7 +19,7 @@ from safetensors import SafetensorError, safe_open
 
 from ...tracker.angle import AngleDefinition
 from ...tracker.errors import BendtrackError, CheckpointError
-from ...tracker.types import BoolArray, Detections, FloatArray
+from ...tracker.types import BoolArray, Correlation, Detections, FloatArray
 from .bias import correct_bias
 from .calibration import Calibration
 from .checksum import HEADER
@@ -149,6 +149,14 @@ class CheckpointMetadata:
             bias = np.array(self.systematic_bias)
             found = replace(found, xy=correct_bias(found.xy, bias, self.reference, geometry.crop_scale))
         return self.calibration.apply(found)
+
+    @property
+    def correlations(self) -> tuple[Correlation, ...]:
+        """Keypoints whose errors go together: both of a moving end that is regressed as one piece."""
+        return tuple(
+            Correlation(self.keypoints[k], self.keypoints[p], coefficient)
+            for k, p, coefficient in self.calibration.end_correlation
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready, under the names of the checkpoint's format, and read back by `read_metadata`."""

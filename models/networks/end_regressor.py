@@ -32,6 +32,8 @@ class EndRegressionNetwork(nn.Module):
         Weights of the features.
     rest : (E, 3) tensor
         Intercepts. The names of buffers are those of checkpoints.
+    turn_sd_rad : list of float
+        For each end the cross-validated standard deviation of its rotation, rad, from the fit; not in checkpoints.
     """
 
     ends: Tensor
@@ -40,6 +42,7 @@ class EndRegressionNetwork(nn.Module):
 
     def __init__(self, ends: int) -> None:
         super().__init__()
+        self.turn_sd_rad: list[float] = []
         self.first = FirstStage(HeatmapNetwork("resnet18", 1, 1, convolutions=CONVOLUTIONS))
         side = END_SIDE // STRIDE
         self.register_buffer("ends", torch.zeros(ends, 2, dtype=torch.int64))

@@ -29,7 +29,7 @@ from ..denoising.registration import shipped_features
 from ..denoising.robust_fit import systematic_bias
 from ..denoising.targets import TargetDenoiser
 from ..inference.bias import correct_bias
-from ..inference.calibration import calibrate
+from ..inference.calibration import calibrate, end_correlation, resting_scale
 from ..inference.coarse_to_fine import concatenated
 from ..inference.crops import CropGeometry
 from ..inference.metadata import later_than
@@ -390,6 +390,20 @@ class _Trainer:
         calibration = calibrate(
             found, labels, held_out, data.labels[data.held_out] if data.held_out else None
         )
+        calibration = replace(
+            calibration, resting_scale=resting_scale(found, self.denoiser.resting(found.xy))
+        )
+        if network.aligner is not None:
+            calibrated = calibration.apply(found)
+            calibration = replace(
+                calibration,
+                end_correlation=tuple(
+                    (*end, end_correlation(calibrated, end, turn_sd_rad, calibration.label_variance_px2))
+                    for end, turn_sd_rad in zip(
+                        network.aligner.pairs, network.aligner.turn_sd_rad, strict=True
+                    )
+                ),
+            )
         training = {
             "settings": settings.to_dict(),
             "started_from": state.start,

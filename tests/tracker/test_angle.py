@@ -17,6 +17,7 @@ from bendtrack.tracker.angle import (
     sign_from_labels,
 )
 from bendtrack.tracker.errors import AngleError
+from bendtrack.tracker.types import Correlation
 
 BENDS_DEG = np.array(
     [-220.0, -180, -170, -90, -10, -0.01, 0, 1e-6, 0.01, 10, 45, 90, 135, 179, 180, 181, 208, 220]
@@ -297,6 +298,29 @@ def test_sd_of_the_papers_angle_is_the_floor_formula() -> None:
     definition = AngleDefinition("two-vector", FINGER)
     _, sd, _ = bending_angle(xy, FINGER, definition, np.tile(np.eye(2), (3, 5, 1, 1)))
     np.testing.assert_allclose(sd, label_noise_floor_deg(1.0, 1, 40.0), rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", DEFINITIONS)
+def test_sd_of_correlated_points_agrees_with_monte_carlo(name: str) -> None:
+    """Both points of the tip err together: their common shift turns nothing."""
+    rng = np.random.default_rng(2)
+    xy = np.array([[[0.0, 0.0], [50.0, 3.0], [120.0, 60.0], [130.0, 110.0]]])
+    keypoints = names(4)
+    points = default_points(name, keypoints)
+    definition = AngleDefinition(name, points)
+    sd, coefficient = 0.5, 0.9
+    covariance = np.broadcast_to(np.eye(2) * sd**2, (1, 4, 2, 2))
+    correlations = [Correlation(keypoints[2], keypoints[3], coefficient)]
+    stated = bending_angle(xy, keypoints, definition, covariance, correlations)[1][0]
+    common, own = rng.normal(0, sd, (2, 40_000, 1, 2)), rng.normal(0, sd, (40_000, 4, 2))
+    error = own.copy()
+    error[:, 2:] = np.sqrt(coefficient) * common[0] + np.sqrt(1 - coefficient) * own[:, 2:]
+    drawn = bending_angle(xy + error, keypoints, definition)[0]
+    assert stated == pytest.approx(drawn.std(), rel=0.03)
+    # A pair that is not in the chain changes nothing.
+    other = [Correlation(keypoints[3], "elsewhere", 0.9)]
+    alone = bending_angle(xy, keypoints, definition, covariance)[1]
+    assert bending_angle(xy, keypoints, definition, covariance, other)[1] == alone
 
 
 def test_no_covariance_no_sd() -> None:

@@ -22,7 +22,7 @@ from bendtrack.tracker.hashing import file_sha256
 from bendtrack.tracker.measuring import measure
 from bendtrack.tracker.results import read_results, write_results
 from bendtrack.tracker.tracking import track, tracking_settings
-from bendtrack.tracker.types import Detections, Flag
+from bendtrack.tracker.types import Correlation, Detections, Flag
 from bendtrack.tracker.video import video_stem
 
 NAMES = ("base_1", "base_2", "tip_1", "tip_2")
@@ -197,7 +197,7 @@ import numpy as np
 from bendtrack.tracker.angle import AngleDefinition
 from bendtrack.tracker.results import write_results
 from bendtrack.tracker.tracking import track
-from bendtrack.tracker.types import Detections, Flag
+from bendtrack.tracker.types import Correlation, Detections, Flag
 
 class Detector:
     keypoints = ("base_1", "base_2", "tip_1", "tip_2")
@@ -246,3 +246,27 @@ def test_memory_does_not_grow_with_the_video(film, short_and_long_video):
     )
     short, long = film.peak_memory(code, short_and_long_video, "", "")
     assert long < 1.1 * short
+
+
+def test_the_two_parts_of_the_uncertainty_are_recorded(arm_video, film) -> None:
+    """What the labels leave is one offset of the film; the rest scatters. Together they are the table's."""
+
+    class Trained(film.DiscDetector):
+        correlations = (Correlation("tip_1", "tip_2", 0.9),)
+        label_variance_px2 = 0.01
+
+    alone, trained = (
+        track(arm_video, film.DiscDetector(), DEFINITION),
+        track(arm_video, Trained(), DEFINITION),
+    )
+    assert alone.provenance["uncertainty"] is None
+    parts = trained.provenance["uncertainty"]
+    total = np.hypot(parts["offset_sd_deg"], parts["scatter_sd_deg"])
+    assert total == pytest.approx(np.nanmedian(trained.angle_sd_deg), rel=0.02)
+    tips = [DEFINITION.points.index(name) for name in ("tip_1", "tip_2")]
+    length = np.median(np.linalg.norm(np.diff(trained.xy[:, tips], axis=1), axis=2))
+    bases = np.median(np.linalg.norm(trained.xy[:, 1] - trained.xy[:, 0], axis=1))
+    offset = np.degrees(np.sqrt(2 * 0.01) * np.hypot(1 / length, 1 / bases))
+    assert parts["offset_sd_deg"] == pytest.approx(offset, rel=0.02)
+    # Errors that the two points of an end share do not turn it.
+    assert np.nanmedian(trained.angle_sd_deg) < np.nanmedian(alone.angle_sd_deg)

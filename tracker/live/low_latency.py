@@ -17,7 +17,7 @@ import numpy as np
 from ..angle import AngleDefinition
 from ..errors import VideoError
 from ..measuring import MIN_LIKELIHOOD, check_points, measure
-from ..types import Detections, Detector, DropAwareDetector, Flag, VideoDetector
+from ..types import Detections, Detector, DropAwareDetector, Flag, TrainedDetector, VideoDetector
 from ..video import Frame
 
 _POLL_S = 0.1  # longest delay until a stop is noticed while no frame arrives
@@ -272,6 +272,7 @@ class _FrameMeasurement:
         self._definition = definition
         self._min_likelihood = min_likelihood
         self._chain = [detector.keypoints.index(point) for point in definition.points]
+        self._correlations = detector.correlations if isinstance(detector, TrainedDetector) else ()
         self._n_not_seen = 0  # frames since the last one given to the detector
 
     def value(self, arrival: Arrival, dropped_s: tuple[float, ...]) -> LiveValue:
@@ -293,6 +294,7 @@ class _FrameMeasurement:
             decoded=np.array([image is not None]),
             damaged=np.array([frame.damaged]),
             min_likelihood=self._min_likelihood,
+            correlations=self._correlations,
         )
         return LiveValue(
             frame=frame.index,

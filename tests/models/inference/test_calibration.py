@@ -7,7 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bendtrack.models.inference.calibration import Calibration, calibrate, typical_scale
+from bendtrack.models.inference.calibration import (
+    MOST_CORRELATED,
+    Calibration,
+    calibrate,
+    end_correlation,
+    resting_scale,
+    typical_scale,
+)
 from bendtrack.tracker.types import Detections
 
 
@@ -93,3 +100,48 @@ def test_typical_scale_below_and_above_one() -> None:
         )
         found.xy[::10] += 500.0  # an outlier, not a spread
         assert typical_scale(found, truth) == pytest.approx(sd**2, rel=0.3)
+
+
+def test_a_keypoint_that_rests_is_as_uncertain_as_it_is_found_there() -> None:
+    found, _, truth = simulated(200, 0.7, 1.0, 1.0, seed=5)
+    resting = truth.copy()
+    resting[:, 2:] = np.nan  # they move
+    resting[0, 0] = np.nan
+    scales = resting_scale(found, resting)
+    np.testing.assert_allclose(scales[:2], 0.7**2, rtol=0.3)
+    assert scales[2:] == (1.0, 1.0)
+    # Neither far more certain than the network says, nor less: that is what held-out labels tell.
+    assert resting_scale(simulated(200, 0.01, 1.0, 1.0, seed=6)[0], truth)[0] >= 0.25
+    assert (
+        resting_scale(simulated(200, 3.0, 1.0, 1.0, seed=5)[0], simulated(200, 3.0, 1.0, 1.0, seed=5)[2])
+        == (1.0,) * 4
+    )
+    calibration = Calibration(label_sd_px=0.0, resting_scale=(0.25, 1.0))
+    two = Detections(np.zeros((1, 2, 2)), np.ones((1, 2)), np.broadcast_to(np.eye(2), (1, 2, 2, 2)))
+    assert calibration.apply(two).covariance[0, :, 0, 0].tolist() == [0.25, 1.0]
+
+
+def test_a_rigid_end_turns_less_than_two_points_that_err_by_themselves() -> None:
+    """Both points of an end are 40 px apart and share most of their error."""
+    rng = np.random.default_rng(0)
+    frames, length, turn_sd, label_variance = 4000, 40.0, 0.005, 0.02
+    xy = np.zeros((frames, 2, 2))
+    xy[:, 1, 0] = length
+    shared, turn = rng.normal(0, 0.6, frames), rng.normal(0, turn_sd, frames)
+    noise = rng.normal(0, np.sqrt(label_variance), (frames, 2))
+    xy[:, 0, 1] = shared - turn * length / 2 + noise[:, 0]
+    xy[:, 1, 1] = shared + turn * length / 2 + noise[:, 1]
+    variance = float(xy[:, :, 1].var(axis=0).mean())
+    found = Detections(xy, np.ones((frames, 2)), np.broadcast_to(np.eye(2) * variance, (frames, 2, 2, 2)))
+    correlation = end_correlation(found, (0, 1), turn_sd, label_variance)
+    assert correlation == pytest.approx(np.corrcoef(xy[:, 0, 1], xy[:, 1, 1])[0, 1], abs=0.01)
+    # An end that turns more than its points say has no correlation to take away.
+    assert end_correlation(found, (0, 1), 1.0, label_variance) == 0.0
+    assert end_correlation(found, (0, 1), 0.0, 0.0) == MOST_CORRELATED
+
+
+def test_what_is_written_is_read_back() -> None:
+    own = Calibration(1.5, 1.0, 27, (0.5, 0.6), (0.25, 1.0), ((0, 1, 0.9),))
+    assert Calibration.from_dict(own.to_dict()) == own
+    earlier = {key: own.to_dict()[key] for key in ("scale", "label_sd_px", "n_labels", "usual_peak")}
+    assert Calibration.from_dict(earlier) == Calibration(1.5, 1.0, 27, (0.5, 0.6))
