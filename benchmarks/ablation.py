@@ -2,7 +2,7 @@
 
     python benchmarks/ablation.py                            eight looks, two seeds each, 30 labels
     python benchmarks/ablation.py --labels 0 --looks 16      without labels: nothing is drawn from a seed
-    python benchmarks/ablation.py --stage bias_correction --stage self_training+edge_orientation      these alone
+    python benchmarks/ablation.py --stage end_regression --stage self_training+edge_orientation      these alone
     python benchmarks/ablation.py --looks 1 --seeds 1 --steps 3 --frames 12      a run to see that it runs
 
 Looks are drawn from the training families: what this table decides must not be decided on held-out looks. A network is
@@ -58,7 +58,6 @@ WITH_LABELS = (
     "static_patches",
     "backward_pass",
     "distance_check",
-    "bias_correction",
 )
 WITHOUT_LABELS = (
     "end_regression",

@@ -29,6 +29,7 @@ LANES = [
             ("III", "Chain assembly", "dynamic programming"),
             ("IV", "Edge orientation", "from its two sides"),
             ("V", "Self-training", "where it is not sure"),
+            ("VI", "Label propagation", "with one to four labels"),
         ],
     ),
     (
@@ -41,10 +42,9 @@ LANES = [
             ("3", "Oriented crops", "every tip upright"),
             ("4", "Refine", "each point, fine"),
             ("5", "End regression", "at twice the scale"),
-            ("6", "Bias correction", "Fourier series"),
-            ("7", "Consistency check", "coarse against fine"),
-            ("8", "Calibration", "sd and likelihood"),
-            ("9", "Tracking", "next frame's crops"),
+            ("6", "Consistency check", "coarse against fine"),
+            ("7", "Calibration", "sd and likelihood"),
+            ("8", "Tracking", "next frame's crops"),
         ],
     ),
 ]

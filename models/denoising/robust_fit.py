@@ -1,10 +1,9 @@
-"""A robust fit of predictions to noisy labels: denoised positions to train on, and the systematic bias to correct.
+"""A robust fit of predictions to noisy labels: denoised positions to train on.
 
 Every label carries a click's error, and a network can learn thirty such errors by heart. What labels and predictions
 differ by systematically, as the ends turn, is the network's own error (`noise_model`); without it a prediction is far
 nearer to the truth than a click. Training positions are such predictions: at first of a network that knew the keypoints
-before it saw a label, later of the running average of the one in training. The bias that is left when training ends is
-subtracted from all predictions.
+before it saw a label, later of the running average of the one in training.
 
 A fixed end rests at one position in all frames of a video, where a network can tell frames apart by their shadows;
 there the positions are replaced by their median.
@@ -30,31 +29,6 @@ far off, so the network is."""
 
 MIN_FRAMES = 5
 """Fewest inlier labels from which a keypoint's error model, or its rest in a video, is estimated."""
-
-
-def systematic_bias(found: FloatArray, labels: FloatArray, geometry: FrameGeometry) -> FloatArray:
-    """The systematic part of label minus prediction, for `inference.bias.correct_bias`.
-
-    The part that is constant in orientation is known as exactly as the labels' mean: that is the label-noise floor.
-    The part that changes with orientation is shrunk by its marginal likelihood.
-
-    Parameters
-    ----------
-    found : (N, K, 2) float array
-        Predictions, px.
-    labels : (N, K, 2) float array
-        px; NaN where not labelled.
-    geometry : FrameGeometry
-        Of the N frames.
-
-    Returns
-    -------
-    (K, 1 + 2 HARMONICS, 2) float array
-        Fourier coefficients in orientation, px of the upright patch; 0 for a keypoint that was never labelled.
-    """
-    orientation = geometry.orientations(found)
-    residual, distance = _residuals(found, labels, orientation, geometry)
-    return _by_keypoint(_network_errors(residual, _inliers(distance), orientation).systematic)
 
 
 def denoised_positions(

@@ -1,6 +1,6 @@
 """The network's systematic bias against the labels, along each keypoint's own axes, as its end turns in the frame.
 
-How it is estimated from labels is in `denoising/robust_fit.py`.
+Labels are denoised with it (`denoising/robust_fit.py`). Networks trained by earlier versions are corrected by it.
 """
 
 from __future__ import annotations

@@ -64,7 +64,7 @@ class CheckpointMetadata:
     kind : "project" or "pretrained"
         What it was trained on.
     systematic_bias : tuple
-        For each keypoint the coefficients for `bias.correct_bias`; empty where there are none.
+        Of networks trained by earlier versions: for each keypoint the coefficients for `bias.correct_bias`. Else empty.
     distance_range : tuple of (float, float)
         For each keypoint the shortest and longest labelled distance from its reference keypoint, crop px; empty where
         nothing was labelled.
@@ -145,7 +145,7 @@ class CheckpointMetadata:
         if stages.distance_check:
             plausible = self.plausible_distances(found.xy, geometry)
             found = replace(found, likelihood=np.where(plausible, found.likelihood, 0.0))
-        if self.systematic_bias and stages.bias_correction:
+        if self.systematic_bias:
             bias = np.array(self.systematic_bias)
             found = replace(found, xy=correct_bias(found.xy, bias, self.reference, geometry.crop_scale))
         return self.calibration.apply(found)

@@ -27,8 +27,6 @@ class StageSettings:
         A keypoint that was lost is searched again from the frames after it.
     distance_check : bool
         A keypoint too near to its reference keypoint or too far from it gets likelihood 0.
-    bias_correction : bool
-        The network's systematic bias against the labels is subtracted.
     motion_evidence : bool
         Without labels: what moves in the video is taken for the actuator, not what looks most like one.
     self_training : bool
@@ -44,7 +42,6 @@ class StageSettings:
     static_patches: bool = True
     backward_pass: bool = True
     distance_check: bool = True
-    bias_correction: bool = True
     motion_evidence: bool = True
     self_training: bool = True
     edge_orientation: bool = True

@@ -26,9 +26,7 @@ from ...tracker.types import Detections, FloatArray, LabelledFrame
 from ..data.images import frame_id
 from ..data.synthetic import rendered_frames
 from ..denoising.registration import shipped_features
-from ..denoising.robust_fit import systematic_bias
 from ..denoising.targets import TargetDenoiser
-from ..inference.bias import correct_bias
 from ..inference.calibration import calibrate, end_correlation, resting_scale
 from ..inference.coarse_to_fine import concatenated
 from ..inference.crops import CropGeometry
@@ -378,15 +376,8 @@ class _Trainer:
             network.aligner = self.denoiser.end_regressor(found.xy, settings.seed)
         found = self._detect(network, data.trained)
         labels, geometry = self.denoiser.labels, self.denoiser.geometry
-        bias = systematic_bias(found.xy, self.denoiser.targets(found.xy), geometry)
-        scale = geometry.patch_scale
-        found = replace(found, xy=correct_bias(found.xy, bias, data.reference, scale))
-        lengths = reference_distances(labels, data.reference, scale)
-        held_out = None
-        if data.held_out:
-            held_out = self._detect(network, data.held_out)
-            scale = np.array([data.prepared[i].region.refiner_scale for i in data.held_out])
-            held_out = replace(held_out, xy=correct_bias(held_out.xy, bias, data.reference, scale))
+        lengths = reference_distances(labels, data.reference, geometry.patch_scale)
+        held_out = self._detect(network, data.held_out) if data.held_out else None
         calibration = calibrate(
             found, labels, held_out, data.labels[data.held_out] if data.held_out else None
         )
@@ -425,7 +416,6 @@ class _Trainer:
             regions=data.regions,
             reference=data.reference,
             calibration=calibration,
-            systematic_bias=tuple(tuple((float(x), float(y)) for x, y in of) for of in bias),
             distance_range=tuple((float(low), float(high)) for low, high in lengths),
             training=training,
         )

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from bendtrack.models.denoising.geometry import FrameGeometry
-from bendtrack.models.denoising.robust_fit import denoised_positions, systematic_bias
-from bendtrack.models.inference.bias import correct_bias
-from bendtrack.models.inference.roi import orientations, turned
+from bendtrack.models.denoising.robust_fit import denoised_positions
 
 REFERENCE = (1, 0, 3, 2)
 FRAMES = 30
@@ -38,74 +36,9 @@ def bends() -> tuple[np.ndarray, np.ndarray]:
     return arms(np.linspace(-20, 220, FRAMES), scale), scale
 
 
-def shifted(truth: np.ndarray, along_px: float, across_px: float, scale: np.ndarray) -> np.ndarray:
-    """The tip's points moved in its own axes, by hand: along the end vector, and to its right on the screen."""
-    moved = truth.copy()
-    vector = truth[:, 3] - truth[:, 2]
-    unit = vector / np.linalg.norm(vector, axis=1)[:, None]
-    right = np.stack([-unit[:, 1], unit[:, 0]], axis=1)
-    for k in (2, 3):
-        moved[:, k] += (along_px * unit + across_px * right) / scale[:, None]
-    return moved
-
-
 def off_mean_px(moved: np.ndarray, truth: np.ndarray, labels: np.ndarray) -> np.ndarray:
     """Standard deviation (K, 2) px; what the labels' mean is off by is no business of a network."""
     return np.asarray((moved - truth - (labels - truth).mean(axis=0)).std(axis=0))
-
-
-def test_a_bias_along_the_ends_axes_is_estimated_and_corrected(bends) -> None:
-    truth, scale = bends
-    found = shifted(truth, 0.3, -0.5, scale)
-    offset = systematic_bias(found, truth, geometry(scale))
-    np.testing.assert_allclose(offset[:, 0], [[0, 0], [0, 0], [-0.3, 0.5], [-0.3, 0.5]], atol=1e-9)
-    np.testing.assert_allclose(offset[:, 1:], 0, atol=1e-9)
-    np.testing.assert_allclose(correct_bias(found, offset, REFERENCE, scale), truth, atol=1e-9)
-    for i in (0, 1, 17):
-        one = correct_bias(found[i : i + 1], offset, REFERENCE, float(scale[i]))
-        np.testing.assert_allclose(one, truth[i : i + 1], atol=1e-9)
-
-
-def test_corrected_predictions_have_the_mean_of_noisy_labels(bends) -> None:
-    truth, scale = bends
-    labels = truth + np.random.default_rng(0).normal(0, 0.5, truth.shape)
-    offset = systematic_bias(shifted(truth, 0.3, -0.5, scale), labels, geometry(scale))
-    moved = correct_bias(shifted(truth, 0.3, -0.5, scale), offset, REFERENCE, scale)
-    left = turned(labels - moved, -orientations(moved, REFERENCE)) * scale[:, None, None]
-    # Not exactly: the moved ends point a little elsewhere, and where nearly nothing is slow a little is taken for it.
-    np.testing.assert_allclose(left.mean(axis=0), 0, atol=0.01)
-
-
-def test_a_bias_that_changes_with_orientation_is_corrected_within_the_noise() -> None:
-    angles = np.linspace(0, 180, FRAMES)
-    truth = arms(angles, SCALE)
-    # Across a tip that the light falls on from one side: 1.5 px to the one side, later to the other.
-    drift = 1.5 * np.cos(np.deg2rad(angles))
-    found = truth.copy()
-    found[:, 2:] += turned(np.stack([0 * drift, drift], axis=1), np.deg2rad(angles))[:, None]
-    rng = np.random.default_rng(3)
-    labels = truth + rng.normal(0, 0.5, truth.shape)
-    moved = correct_bias(found, systematic_bias(found, labels, geometry(SCALE)), REFERENCE, SCALE)
-    across = turned(moved - truth, -orientations(truth, REFERENCE))[:, 2:, 1]
-    assert drift.std() > 1.0  # px
-    assert across.std(axis=0).max() < 0.35
-    # From between the labels, too, and beyond them it does not run away.
-    between = arms(np.array([93.0, 270.0]), np.ones(2))
-    offset = systematic_bias(found, labels, geometry(SCALE))
-    steps = correct_bias(between, offset, REFERENCE, 1.0) - between
-    assert np.linalg.norm(steps[0, 2:], axis=1).max() < 0.4
-    assert np.linalg.norm(steps[1, 2:], axis=1).max() < 1.6
-
-
-def test_outliers_and_missing_labels_do_not_change_the_bias(bends) -> None:
-    truth, scale = bends
-    labels = truth + np.random.default_rng(1).normal(0, 0.5, truth.shape)
-    labels[:, 0] = np.nan
-    labels[4, 3] = np.nan
-    before = systematic_bias(truth, labels, geometry(scale))
-    assert not before[0].any()
-    labels[4, 3] = truth[4, 3] + 80
-    np.testing.assert_allclose(systematic_bias(truth, labels, geometry(scale)), before, atol=1e-6)
 
 
 def test_thousands_of_labels_do_not_underflow() -> None:
@@ -119,13 +52,6 @@ def test_thousands_of_labels_do_not_underflow() -> None:
     error = off_mean_px(moved, truth, labels)
     assert error[:3].max() < 0.1
     assert 0.9 < error[3].max() < 1.0
-
-
-def test_one_label_of_a_keypoint_gives_its_bias() -> None:
-    truth = arms(np.array([30.0]), np.ones(1))
-    offset = systematic_bias(shifted(truth, 0.3, -0.5, np.ones(1)), truth, geometry(np.ones(1)))
-    np.testing.assert_allclose(offset[2, 0], [-0.3, 0.5])
-    assert not offset[:, 1:].any()
 
 
 def test_labelling_noise_is_removed_and_the_networks_noise_is_not_added() -> None:
@@ -196,6 +122,5 @@ def test_no_function_writes_into_its_arguments(bends) -> None:
     labels = truth + np.random.default_rng(0).normal(0, 0.5, truth.shape)
     given = [truth.copy(), labels.copy(), scale.copy()]
     denoised_positions(labels, truth, geometry(scale))
-    systematic_bias(truth, labels, geometry(scale))
     for before, after in zip(given, (truth, labels, scale), strict=True):
         np.testing.assert_array_equal(before, after)

@@ -64,11 +64,8 @@ def test_distance_check() -> None:
     np.testing.assert_array_equal(checked.xy, unchecked.xy)
 
 
-def test_bias_correction() -> None:
-    """The bias is 2 px along the direction of each end, which is x here."""
+def test_a_network_of_an_earlier_version_is_corrected_by_its_bias() -> None:
+    """2 px along the direction of each end, which is x here."""
     found = found_at(20.0)
     corrected = METADATA.calibrated(found, GEOMETRY)
     np.testing.assert_allclose(corrected.xy, found.xy + np.array([2.0, 0.0]))
-    uncorrected = METADATA.calibrated(found, GEOMETRY, StageSettings(bias_correction=False))
-    np.testing.assert_array_equal(uncorrected.xy, found.xy)
-    np.testing.assert_array_equal(corrected.likelihood, uncorrected.likelihood)
