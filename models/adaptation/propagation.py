@@ -15,6 +15,7 @@ import numpy as np
 
 from ...tracker.errors import VideoError
 from ...tracker.types import BoolArray, FloatArray, ImageArray
+from ..inference.calibration import turn_shrinkage
 from ..inference.coarse_to_fine import CoarseToFineEstimator
 from ..inference.metadata import CheckpointMetadata
 from ..inference.roi import turned
@@ -32,13 +33,6 @@ from ..localization.probe_frames import (
 MAX_LABELS = 4
 """Labelled frames of a video up to which its other frames help. From five on a training learns the ends' poses from
 the labels alone."""
-
-LABEL_SD_PX = 1.0
-"""Error of a click along either axis, px of the frame."""
-
-DEFINITION_SD_RAD = np.deg2rad(2.0)
-"""How far the direction in which someone labels an end differs from the network's, rad. With `LABEL_SD_PX` it decides
-how much of the difference that is seen in a few labels is believed (shrinkage)."""
 
 MAX_ARC_RAD = np.deg2rad(170.0)
 """Largest turn between both ends that gives the body's length: near a whole half turn the chord says little."""
@@ -177,14 +171,12 @@ def _placed(ends: FloatArray, seen: FloatArray, labels: FloatArray) -> FloatArra
     relative to the network's end; how far they are turned about their centre is shrunk, for clicks are noisy.
     """
     turn = np.angle(np.exp(1j * (_direction(labels) - _direction(seen))))
-    click_rad = np.sqrt(2.0) * LABEL_SD_PX / np.maximum(lengths_px(labels), 1.0)
-    prior, clicks = DEFINITION_SD_RAD**2, float(np.mean(click_rad**2)) / len(labels)
-    turn_rad = float(np.mean(turn)) * prior / (prior + clicks)
+    end_px = max(float(lengths_px(labels).mean()), 1.0)
+    turn_rad = float(np.mean(turn)) * turn_shrinkage(len(labels), end_px)
     centre = turned(labels.mean(axis=1) - seen.mean(axis=1), -_direction(seen)).mean(axis=0)
-    half_px = float(lengths_px(labels).mean()) / 2
     direction = _direction(ends)
     middle = ends.mean(axis=1) + turned(np.broadcast_to(centre, (len(ends), 2)), direction)
-    half = half_px * np.stack([np.cos(direction + turn_rad), np.sin(direction + turn_rad)], axis=1)
+    half = end_px / 2 * np.stack([np.cos(direction + turn_rad), np.sin(direction + turn_rad)], axis=1)
     return np.stack([middle - half, middle + half], axis=1)
 
 

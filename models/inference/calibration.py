@@ -20,6 +20,12 @@ from ...tracker.types import BoolArray, Detections, FloatArray
 MEDIAN_CHI2 = float(np.log(4.0))
 """Median squared Mahalanobis distance of a two-dimensional Gaussian."""
 
+CLICK_SD_PX = 1.0
+"""Error of a click along either axis, px of the frame, where too few labels show it."""
+
+DEFINITION_SD_RAD = float(np.deg2rad(2.0))
+"""How far the direction in which someone labels an end differs from the one that a pretrained network finds, rad."""
+
 LEAST_RESTING_SCALE = 0.25
 """A keypoint at rest is not called more certain than half of the network's own standard deviation: another film may
 show it a little differently."""
@@ -132,6 +138,33 @@ def calibrate(
     if held is not None and held_labels is not None:
         scale = spread_scale(held, held_labels, label_sd**2 * (1 + 1 / n))
     return Calibration(scale, label_sd, n, reference_peaks(trained.likelihood, known))
+
+
+def turn_shrinkage(n_labels: int, end_px: float) -> float:
+    """Share of the turn between a few labels of an end and the network's that is taken for real, 0 to 1.
+
+    Parameters
+    ----------
+    n_labels : int
+        Labels of the end.
+    end_px : float
+        Distance of its two points, px.
+    """
+    clicks = 2 * (CLICK_SD_PX / end_px) ** 2 / n_labels
+    return float(DEFINITION_SD_RAD**2 / (DEFINITION_SD_RAD**2 + clicks))
+
+
+def few_label_variance_px2(n_labels: int, end_px: float) -> float:
+    """Variance of each point of an end along either axis that a few labels leave, px^2.
+
+    It turns the end by as much as is unknown after `turn_shrinkage`.
+
+    Parameters
+    ----------
+    n_labels, end_px
+        As `turn_shrinkage`'s.
+    """
+    return turn_shrinkage(n_labels, end_px) * CLICK_SD_PX**2 / n_labels
 
 
 def resting_scale(found: Detections, resting_xy: FloatArray) -> tuple[float, ...]:

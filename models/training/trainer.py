@@ -27,7 +27,7 @@ from ..data.images import frame_id
 from ..data.synthetic import rendered_frames
 from ..denoising.registration import shipped_features
 from ..denoising.targets import TargetDenoiser
-from ..inference.calibration import calibrate, end_correlation, resting_scale
+from ..inference.calibration import calibrate, end_correlation, few_label_variance_px2, resting_scale
 from ..inference.coarse_to_fine import concatenated
 from ..inference.crops import CropGeometry
 from ..inference.metadata import later_than
@@ -381,6 +381,16 @@ class _Trainer:
         calibration = calibrate(
             found, labels, held_out, data.labels[data.held_out] if data.held_out else None
         )
+        labelled = [i for i in data.trained if not data.frames[i].propagated]
+        if len(labelled) < len(data.trained):
+            # The propagated labels agree with each other: how far the clicks may be off they do not show.
+            calibration = replace(
+                calibration,
+                label_sd_px=math.sqrt(
+                    len(labelled) * few_label_variance_px2(len(labelled), data.end_px(labelled))
+                ),
+                n_labels=len(labelled),
+            )
         calibration = replace(
             calibration, resting_scale=resting_scale(found, self.denoiser.resting(found.xy))
         )

@@ -53,6 +53,13 @@ class TrainingData:
     trained: list[int]
     held_out: list[int]
 
+    def end_px(self, rows: Sequence[int]) -> float:
+        """Median distance between the two points of an end in some frames, px; 1 where none shows both."""
+        pairs = [(k, p) for k, p in enumerate(self.reference) if k < p and self.reference[p] == k]
+        apart = [np.linalg.norm(self.labels[i, p] - self.labels[i, k]) for i in rows for k, p in pairs]
+        known = [length for length in apart if np.isfinite(length)]
+        return float(np.median(known)) if known else 1.0
+
     def identity(self, settings: TrainingSettings) -> str:
         """SHA-256 of everything that a resumed training must have in common with the stopped one."""
         return settings_and_labels_sha256(self.frames, self.keypoints, settings)

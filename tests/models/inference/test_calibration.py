@@ -12,7 +12,9 @@ from bendtrack.models.inference.calibration import (
     Calibration,
     calibrate,
     end_correlation,
+    few_label_variance_px2,
     resting_scale,
+    turn_shrinkage,
     typical_scale,
 )
 from bendtrack.tracker.types import Detections
@@ -145,3 +147,12 @@ def test_what_is_written_is_read_back() -> None:
     assert Calibration.from_dict(own.to_dict()) == own
     earlier = {key: own.to_dict()[key] for key in ("scale", "label_sd_px", "n_labels", "usual_peak")}
     assert Calibration.from_dict(earlier) == Calibration(1.5, 1.0, 27, (0.5, 0.6))
+
+
+def test_few_clicks_leave_the_direction_of_an_end_as_unsure_as_both_say() -> None:
+    """The network's direction and the clicks' are combined by their variances."""
+    for n, length in ((1, 20.0), (1, 60.0), (4, 60.0)):
+        clicks, prior = 2 / (n * length**2), np.deg2rad(2.0) ** 2
+        together = 1 / (1 / clicks + 1 / prior)
+        assert 2 * few_label_variance_px2(n, length) / length**2 == pytest.approx(together)
+    assert turn_shrinkage(100_000, 60.0) == pytest.approx(1.0, abs=1e-3)
