@@ -22,7 +22,16 @@ from .hashing import file_sha256
 from .measuring import MIN_LIKELIHOOD, check_points, measure
 from .prefetch import parallel_map, read_ahead
 from .results import AngleTable, json_ready
-from .types import Detections, Detector, Flag, FloatArray, Frames, ImageArray, VideoDetector
+from .types import (
+    Detections,
+    Detector,
+    Flag,
+    FloatArray,
+    Frames,
+    ImageArray,
+    ReportingDetector,
+    VideoDetector,
+)
 from .video import Video
 
 # Batches decoded ahead of those in use, in addition to the one being decoded.
@@ -151,6 +160,7 @@ def track(
             "complete": source.complete,
         },
         "detector": detector.provenance,
+        **({"findings": dict(detector.findings)} if isinstance(detector, ReportingDetector) else {}),
         "settings": tracking_settings(definition, min_likelihood, check_jumps),
         "warnings": source.warnings,
         "rows": {kind.value or "sound": int((rows.flag == kind).sum()) for kind in Flag},

@@ -31,6 +31,8 @@ class StageSettings:
         The network's systematic bias against the labels is subtracted.
     motion_evidence : bool
         Without labels: what moves in the video is taken for the actuator, not what looks most like one.
+    base_measurement : bool
+        Without labels: a fixed end that yields is measured in every frame, not held at one place.
     self_training : bool
         Without labels: fit the network to the video first where it is not sure everywhere.
     edge_orientation : bool
@@ -46,6 +48,7 @@ class StageSettings:
     distance_check: bool = True
     bias_correction: bool = True
     motion_evidence: bool = True
+    base_measurement: bool = True
     self_training: bool = True
     edge_orientation: bool = True
 
