@@ -4,9 +4,9 @@
     python benchmarks/look_alikes.py --trouble tube     one trouble; may be given again
     python benchmarks/look_alikes.py --films 1 --frames 8 --trouble body --trouble clamp    a run to see that it runs
 
-Each film is a slow inflation of a look of the training families. Nothing is labelled. A frame is right where the tip is
-found within a tenth of the body's length of its place; frames that do not show the tip do not count. Of films that shake
-and of clamps that yield the error of the angle is printed too, over the frames that are right and show both ends: with
+Each film is a slow inflation of a look of the training families. Nothing is labelled. A frame is right where the tip
+is found within a tenth of the body's length of its place; frames that do not show the tip do not count. Of rigs that
+shake and of clamps that yield the error of the angle is printed too, over the frames that are right and show both ends: with
 the fixed end measured where it yields, and with it held. Networks are not fitted to the films.
 """
 
@@ -201,9 +201,7 @@ def found_in(samples: list[Sample], stages: StageSettings) -> Found:
     angle_deg, _, _ = bending_angle(found.xy, own.keypoints, definition)
     error_deg = angle_deg - np.array([sample.angle_deg for sample in samples])
     compared = right & visible[:, ENDS].all(axis=1) & np.isfinite(error_deg)
-    return Found(
-        float(right[visible[:, -1]].mean()), error_deg[compared], str(own.findings["fixed_end"])
-    )
+    return Found(float(right[visible[:, -1]].mean()), error_deg[compared], str(own.findings["fixed_end"]))
 
 
 def measured_row(name: str, count: int, frames: int) -> None:
@@ -239,9 +237,7 @@ def measured_row(name: str, count: int, frames: int) -> None:
         if name in WITH_ANGLE:
             rmse_deg = np.array([row[column].rmse_deg for row in rows])
             known = rmse_deg[np.isfinite(rmse_deg)]
-            middle, low, high = (
-                (np.median(known), known.min(), known.max()) if len(known) else (np.nan,) * 3
-            )
+            middle, low, high = (np.median(known), known.min(), known.max()) if len(known) else (np.nan,) * 3
             print(f"{title}: angle RMSE, {said}: median {middle:.2f} degrees ({low:.2f} to {high:.2f})")
     if name in WITH_ANGLE:
         measured = sum(row[0].fixed_end == "measured" for row in rows)
@@ -255,7 +251,9 @@ def main() -> None:
     )
     parser.add_argument("--films", type=int, default=16, help="of each trouble")
     parser.add_argument("--frames", type=int, default=32, help="of each film")
-    parser.add_argument("--trouble", action="append", choices=TROUBLES, help="may be given again; default: all")
+    parser.add_argument(
+        "--trouble", action="append", choices=TROUBLES, help="may be given again; default: all"
+    )
     args = parser.parse_args()
     for name in args.trouble or TROUBLES:
         measured_row(name, args.films, args.frames)

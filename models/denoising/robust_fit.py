@@ -160,8 +160,8 @@ def _yielding(
 ) -> BoolArray:
     """Keypoints (K,) whose labels (N, K, 2) px in one video follow the keypoint that moves most.
 
-    A clamp gives way in proportion to the load, so that its keypoints go along with the bend by less than a single label
-    is uncertain. Labels are used, not predictions: a network in training follows the labels' noise. An end is rigid:
+    A clamp gives way in proportion to the load, so that its keypoints go along with the bend, by less than a single
+    label is uncertain. Labels are used, not predictions: a network in training follows the labels' noise. An end is rigid:
     both its keypoints yield or neither does.
     """
     k = labels.shape[1]
@@ -172,7 +172,9 @@ def _yielding(
         rows = inlier[:, j] & inlier[:, leader]
         if j != leader:
             follows[j] = _chance(labels[rows, j], unbiased[rows, leader]) < YIELDING_CHANCE
-    return np.array([follows[j] or (reference[reference[j]] == j and follows[reference[j]]) for j in range(k)])
+    return np.array(
+        [follows[j] or (reference[reference[j]] == j and follows[reference[j]]) for j in range(k)]
+    )
 
 
 def _distances(xy: FloatArray) -> FloatArray:

@@ -197,7 +197,9 @@ def find_actuator(
     base = None
     if yields:
         # Each end has what the regressor does for it, and only that.
-        base_across, across = (_across_sd_share(regressor, end, xy.shape[1], across) for end in (FIXED, MOVING))
+        base_across, across = (
+            _across_sd_share(regressor, end, xy.shape[1], across) for end in (FIXED, MOVING)
+        )
         base = MeasuredBase(fixed_rad, base_across)
     fixed_xy = _turn_ends(fixed.xy, fixed_rad)
     fixed = Detections(fixed_xy, fixed.likelihood, _scale_across(fixed.covariance, fixed_xy, across))

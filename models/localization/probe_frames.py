@@ -1,7 +1,7 @@
 """Probe frames: frames spread over a video, taken together.
 
 A network that knows actuators in general finds canonical points in single frames, wrong ones among them, and may take
-either end for the fixed one. But the fixed end does not move, so it is where all probe frames together say, and the
+either end for the fixed one. But the fixed end hardly moves, so it is where all probe frames together say, and the
 actuator is the same one in all of them. What the frames agree on is their consensus.
 """
 

@@ -1,4 +1,4 @@
-"""Disturbances of a film: the truth follows a clamp that yields and a camera that shakes; the rest is where it was asked."""
+"""Disturbances of a film: the truth follows a clamp that yields and a camera that shakes; others are as asked."""
 
 from __future__ import annotations
 
@@ -59,7 +59,9 @@ def test_a_clamp_that_yields_turns_body_and_truth_about_a_point_in_the_clamp(
 ) -> None:
     """At half the largest bend it has turned by half, and what is seen is the body that begins there."""
     sample = Renderer(look, (), Disturbances(yield_deg=yield_deg)).frame(60.0)
-    along = np.array([np.cos(np.radians(look.place.direction_deg)), np.sin(np.radians(look.place.direction_deg))])
+    along = np.array(
+        [np.cos(np.radians(look.place.direction_deg)), np.sin(np.radians(look.place.direction_deg))]
+    )
     pivot = np.array(look.place.base_xy) - 1.6 * look.body.half_px * along
     turn = np.radians(yield_deg / 2)
     rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
@@ -73,7 +75,8 @@ def test_a_clamp_that_yields_turns_body_and_truth_about_a_point_in_the_clamp(
     difference = sample.image.astype(int) - Renderer(replace(look, place=moved)).frame(60.0).image
     assert np.abs(difference).max() <= 2
     np.testing.assert_array_equal(
-        Renderer(look, (), Disturbances(yield_deg=yield_deg)).frame(0.0).image, Renderer(look).frame(0.0).image
+        Renderer(look, (), Disturbances(yield_deg=yield_deg)).frame(0.0).image,
+        Renderer(look).frame(0.0).image,
     )
 
 

@@ -59,7 +59,9 @@ def test_provenance_tells_where_the_numbers_come_from(arm_video, film):
 
 def test_what_a_detector_found_out_is_recorded_and_keeps_results_up_to_date(arm_video, film, tmp_path):
     class Reporting(film.DiscDetector):
-        findings = {"fixed_end": "measured"}
+        @property
+        def findings(self):
+            return {"fixed_end": "measured"}
 
     table = track(arm_video, Reporting(), DEFINITION)
     assert table.provenance["findings"] == {"fixed_end": "measured"}

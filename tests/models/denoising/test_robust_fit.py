@@ -202,9 +202,9 @@ def test_no_function_writes_into_its_arguments(bends) -> None:
 
 
 def yielding_positions(yield_deg: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Arms (N, 4, 2) px whose clamp gives way as they bend, and their denoised positions from labels with 1 px of noise.
+    """Arms (N, 4, 2) px whose clamp gives way as they bend, and their denoised positions.
 
-    The network is exact but for 0.2 px of noise.
+    Labels have 1 px of noise, the network 0.2 px.
     """
     bend_deg = np.linspace(0, 150, FRAMES)
     truth = arms(bend_deg, SCALE)

@@ -37,8 +37,12 @@ def film(truth: np.ndarray, seed: int = 0) -> list[np.ndarray]:
         arc = np.radians(90 * load) * np.linspace(0, 1, 20)[:, None]
         heading = np.cos(arc) * along + np.sin(arc) * across
         body = np.concatenate([[first - 5 * along, second], second + np.cumsum(3 * heading, axis=0)])
-        cv2.polylines(image, [np.rint(body * 16).astype(np.int32)], False, (200, 205, 190), 18, cv2.LINE_AA, 4)
-        block = first + np.array([-20 * along - 16 * across, -16 * across, 16 * across, 16 * across - 20 * along])
+        cv2.polylines(
+            image, [np.rint(body * 16).astype(np.int32)], False, (200, 205, 190), 18, cv2.LINE_AA, 4
+        )
+        block = first + np.array(
+            [-20 * along - 16 * across, -16 * across, 16 * across, 16 * across - 20 * along]
+        )
         cv2.fillPoly(image, [np.rint(block * 16).astype(np.int32)], (60, 50, 90), cv2.LINE_AA, 4)
         images.append(np.clip(image + rng.normal(0, 3, image.shape), 0, 255).astype(np.uint8))
     return images
@@ -49,7 +53,10 @@ def measured(truth: np.ndarray, error_deg: np.ndarray | float = 0.0, noise_px: f
     turn = np.radians(np.broadcast_to(error_deg, FRAMES))
     along = truth[:, 1] - truth[:, 0]
     turned = np.stack(
-        [along[:, 0] * np.cos(turn) - along[:, 1] * np.sin(turn), along[:, 0] * np.sin(turn) + along[:, 1] * np.cos(turn)],
+        [
+            along[:, 0] * np.cos(turn) - along[:, 1] * np.sin(turn),
+            along[:, 0] * np.sin(turn) + along[:, 1] * np.cos(turn),
+        ],
         axis=1,
     )
     ends = np.stack([truth[:, 0], truth[:, 0] + turned], axis=1)
@@ -108,10 +115,16 @@ def test_a_rig_that_shakes_or_drifts_is_no_yielding(drifts: bool) -> None:
 
 
 def test_light_that_changes_is_no_yielding() -> None:
-    images = [np.clip(image * (0.6 + 0.5 * load), 0, 255).astype(np.uint8) for image, load in zip(film(HELD), LOAD, strict=True)]
+    images = [
+        np.clip(image * (0.6 + 0.5 * load), 0, 255).astype(np.uint8)
+        for image, load in zip(film(HELD), LOAD, strict=True)
+    ]
     assert not base_yields(images, measured(HELD, 3.0 * LOAD), REGION)
     truth = bases(8.0 * LOAD)
-    images = [np.clip(image * (0.6 + 0.5 * load), 0, 255).astype(np.uint8) for image, load in zip(film(truth), LOAD, strict=True)]
+    images = [
+        np.clip(image * (0.6 + 0.5 * load), 0, 255).astype(np.uint8)
+        for image, load in zip(film(truth), LOAD, strict=True)
+    ]
     assert base_yields(images, measured(truth), REGION)
 
 

@@ -647,8 +647,6 @@ def test_pseudo_labels_of_a_base_that_yields_are_where_it_is_found() -> None:
         peak = np.full((30, 4), 0.6)
         peak[::4, 2:] = 0.3
         find_actuator(drawn(truth), METADATA, Oracle(truth, peak, noise_px=0.1), None, fit_network)
-    turns_deg = [
-        np.degrees(np.arctan2(*(labels.xy[:, 1] - labels.xy[:, 0]).T[::-1])) for labels in given
-    ]
+    turns_deg = [np.degrees(np.arctan2(*(labels.xy[:, 1] - labels.xy[:, 0]).T[::-1])) for labels in given]
     assert np.nanmax(turns_deg[0]) - np.nanmin(turns_deg[0]) > 7
     assert np.nanmax(turns_deg[1]) - np.nanmin(turns_deg[1]) < 0.01

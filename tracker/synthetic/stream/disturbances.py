@@ -95,8 +95,8 @@ class Disturbances:
     shake_px : float
         How far the camera shakes in x and in y, px.
     yield_deg : float
-        How far the clamp turns at the largest bend, in proportion to the bend, clockwise on the screen positive, degrees
-        in the body's plane.
+        How far the clamp turns at the largest bend, in proportion to the bend, clockwise on the screen positive,
+        degrees in the body's plane.
     """
 
     tubes: tuple[Tube, ...] = ()
