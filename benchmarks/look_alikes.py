@@ -5,9 +5,10 @@
     python benchmarks/look_alikes.py --films 1 --frames 8 --trouble body --trouble clamp    a run to see that it runs
 
 Each film is a slow inflation of a look of the training families. Nothing is labelled. A frame is right where the tip
-is found within a tenth of the body's length of its place; frames that do not show the tip do not count. Of rigs that
-shake and of clamps that yield the error of the angle is printed too, over the frames that are right and show both ends: with
-the fixed end measured where it yields, and with it held. Networks are not fitted to the films.
+is found within a tenth of the body's length of its place; frames that do not show the tip do not count.
+
+Of rigs that shake and of clamps that yield the error of the angle is printed too, over the frames that are right and
+show both ends: with the fixed end measured where it yields, and with it held. No network is fitted to a film.
 """
 
 from __future__ import annotations

@@ -161,8 +161,8 @@ def _yielding(
     """Keypoints (K,) whose labels (N, K, 2) px in one video follow the keypoint that moves most.
 
     A clamp gives way in proportion to the load, so that its keypoints go along with the bend, by less than a single
-    label is uncertain. Labels are used, not predictions: a network in training follows the labels' noise. An end is rigid:
-    both its keypoints yield or neither does.
+    label is uncertain. Labels are used, not predictions: a network in training follows the labels' noise. An end is
+    rigid: both its keypoints yield or neither does.
     """
     k = labels.shape[1]
     extent = np.array([_nanmedian(_distances(unbiased[inlier[:, j], j])) for j in range(k)])

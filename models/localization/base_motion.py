@@ -30,9 +30,10 @@ the background, which does not turn with them."""
 
 CLEARLY_BETTER, BETTER = 0.7, 0.97
 """A base yields where the groups' crops, each in its own direction, differ by less than the first share of what they do
-as crops of a held base, and less than the second share of what they do in one direction as in a film that shakes. Of
-14 looks of the training families the first is 1.6 to 5 and the second 1.0 to 1.9 where a base is held but found to turn;
-0.03 to 0.45 and 0.15 to 0.87 in 13 of them where it turns by 8 degrees; in 12 of them below both where it turns by 4."""
+as crops of a held base, and less than the second share of what they do in one direction as in a film that shakes.
+14 looks of the training families: where a base is held but found to turn, the first is 1.6 to 5 and the second 1.0 to
+1.9; where it turns by 8 degrees, they are 0.03 to 0.45 and 0.15 to 0.87 in 13 of them; where it turns by 4, below both
+limits in 12."""
 
 
 def base_yields(images: Sequence[ImageArray], ends: FloatArray, region: RegionOfInterest) -> bool:
