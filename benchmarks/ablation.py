@@ -63,6 +63,7 @@ WITHOUT_LABELS = (
     "end_regression",
     "backward_pass",
     "motion_evidence",
+    "base_measurement",
     "self_training",
     "edge_orientation",
 )

@@ -67,6 +67,8 @@ class NetworkDetector:
         Cores for the networks.
     anchored : callable, optional
         From calibrated detections to those anchored at the actuator of one video (`for_video`).
+    base_is_held : bool, optional
+        Whether `anchored` holds the fixed end at one place.
     """
 
     def __init__(
@@ -82,6 +84,7 @@ class NetworkDetector:
         workers: int = 1,
         threads: int = 1,
         anchored: Callable[[Detections], Detections] | None = None,
+        base_is_held: bool = False,
     ) -> None:
         self.name = name
         self.metadata = metadata
@@ -93,6 +96,7 @@ class NetworkDetector:
         self._workers = workers
         self._threads = threads
         self._anchored = anchored
+        self._base_is_held = base_is_held
 
     @classmethod
     def load(
@@ -219,6 +223,11 @@ class NetworkDetector:
             "stages": asdict(self.stages),
         }
 
+    @property
+    def findings(self) -> Mapping[str, Any]:
+        """What was decided for the video at hand: `fixed_end` is "held" at one place, or "measured" in every frame."""
+        return {"fixed_end": "held" if self._base_is_held else "measured"}
+
     def detect(self, frames: Frames) -> Detections:
         """Keypoints of frames of one size, each found by itself.
 
@@ -290,6 +299,7 @@ class NetworkDetector:
             workers=self._workers,
             threads=self._threads,
             anchored=actuator.anchored,
+            base_is_held=actuator.base is None,
         )
 
     @property

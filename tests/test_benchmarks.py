@@ -29,7 +29,7 @@ SMALL = {
     ),
     "label_server.py": (["--clicks", "4", "--large", "1"], "a click, saved"),
     "look_alikes.py": (
-        ["--films", "1", "--frames", "8"],
+        ["--films", "1", "--frames", "8", "--trouble", "body", "--trouble", "shaking"],
         "the actuator in at least 90 % of its frames: 1 of 1",
     ),
     "study.py": (

@@ -29,6 +29,7 @@ from .types import (
     FloatArray,
     Frames,
     ImageArray,
+    ReportingDetector,
     TrainedDetector,
     VideoDetector,
 )
@@ -161,6 +162,7 @@ def track(
             "complete": source.complete,
         },
         "detector": detector.provenance,
+        **({"findings": dict(detector.findings)} if isinstance(detector, ReportingDetector) else {}),
         "settings": tracking_settings(definition, min_likelihood, check_jumps),
         "warnings": source.warnings,
         "uncertainty": _components(detector, definition, detections.xy, rows.angle_sd_deg),

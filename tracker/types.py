@@ -144,6 +144,15 @@ class TrainedDetector(Detector, Protocol):
 
 
 @runtime_checkable
+class ReportingDetector(Protocol):
+    """A detector that says what it decided for the video at hand, which `provenance` cannot know before."""
+
+    @property
+    def findings(self) -> Mapping[str, Any]:
+        """JSON-ready; recorded in the results, and no part of what makes them up to date."""
+
+
+@runtime_checkable
 class VideoDetector(Detector, Protocol):
     """A detector that is more accurate, or faster, when it is given the frames of one video in order."""
 

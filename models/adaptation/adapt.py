@@ -110,12 +110,17 @@ class VideoAdaptation:
         return replace(estimator, refiner=averaged, stages=self.source.stages)
 
     def fit_ends(
-        self, probe_frames: Frames, xy: FloatArray, inlier: BoolArray, region: RegionOfInterest
+        self,
+        probe_frames: Frames,
+        xy: FloatArray,
+        inlier: BoolArray,
+        region: RegionOfInterest,
+        base_moves: bool = False,
     ) -> tuple[FloatArray, EndRegressor | None]:
         """`register_and_fit`, with the regressor ready to run."""
         with limited_threads(self.threads):
             registered, network = register_and_fit(
-                probe_frames, xy, inlier, region, self.metadata.reference, self.features
+                probe_frames, xy, inlier, region, self.metadata.reference, self.features, base_moves
             )
             if network is None:
                 return registered, None
@@ -131,6 +136,7 @@ def register_and_fit(
     region: RegionOfInterest,
     reference: Sequence[int],
     features: FirstStage,
+    base_moves: bool = False,
 ) -> tuple[FloatArray, EndRegressionNetwork | None]:
     """Register the moving end over the probe frames, and fit an end regressor to it.
 
@@ -148,6 +154,8 @@ def register_and_fit(
         From `roi.reference_keypoints`.
     features : FirstStage
         The features that ends are compared by. The regressor lies on their device.
+    base_moves : bool, optional
+        Whether the first two keypoints, the fixed end, move too and are treated like the last two.
 
     Returns
     -------
@@ -160,6 +168,7 @@ def register_and_fit(
     images, regions, video = [probe_frames[i] for i in rows], [region] * len(rows), ["probe"] * len(rows)
     moving = np.zeros((len(rows), xy.shape[1]), bool)
     moving[:, -2:] = True
+    moving[:, :2] = base_moves
     frames = [prepare(image, own, region) for image, own in zip(images, xy[rows], strict=True)]
     registered = xy.copy()
     registered[rows] = register_ends(frames, xy[rows], moving, reference, video, features)

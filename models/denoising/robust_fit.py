@@ -6,12 +6,15 @@ nearer to the truth than a click. Training positions are such predictions: at fi
 before it saw a label, later of the running average of the one in training.
 
 A fixed end rests at one position in all frames of a video, where a network can tell frames apart by their shadows;
-there the positions are replaced by their median.
+there the positions are replaced by their median. One that yields as the body bends does not rest: the labels say so.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+from scipy.stats import f as f_distribution
 
 from ...tracker.types import BoolArray, FloatArray
 from ..inference.bias import correct_bias
@@ -29,6 +32,10 @@ far off, so the network is."""
 
 MIN_FRAMES = 5
 """Fewest inlier labels from which a keypoint's error model, or its rest in a video, is estimated."""
+
+YIELDING_CHANCE = 1e-4
+"""A keypoint yields where chance makes its labels follow the body's bend as closely with less than this probability. A
+video has four such tests of its fixed end, so one video in 2500 is mistaken."""
 
 
 def denoised_positions(
@@ -106,19 +113,63 @@ def _resting_at_their_median(
     """Positions (N, K, 2) px, those of a keypoint at rest in a video replaced by their median.
 
     A keypoint is at rest where the predictions without bias, `unbiased` (N, K, 2) px, move by no more than they
-    differ from the labels, in the median over the inliers (N, K).
+    differ from the labels, in the median over the inliers (N, K), and the labels do not follow the bend (`_yielding`).
     """
     positions = positions.copy()
     distance = np.linalg.norm(unbiased - labels, axis=2)
     for _, of_video in geometry.frames_by_video():
+        yielding = _yielding(unbiased, labels, inlier & of_video[:, None], geometry.reference)
         for k in range(labels.shape[1]):
             rows = of_video & inlier[:, k]
-            if rows.sum() < MIN_FRAMES:
+            if rows.sum() < MIN_FRAMES or yielding[k]:
                 continue
             motion = np.linalg.norm(unbiased[rows, k] - np.median(unbiased[rows, k], axis=0), axis=1)
             if np.median(motion) <= np.median(distance[rows, k]):
                 positions[rows, k] = np.median(positions[rows, k], axis=0)
     return positions
+
+
+def _yielding(
+    unbiased: FloatArray, labels: FloatArray, inlier: BoolArray, reference: Sequence[int]
+) -> BoolArray:
+    """Keypoints (K,) whose labels (N, K, 2) px in one video follow the keypoint that moves most.
+
+    A clamp gives way in proportion to the load, so that its keypoints go along with the bend, by less than a single
+    label is uncertain. Labels are used, not predictions: a network in training follows the labels' noise. An end is
+    rigid: both its keypoints yield or neither does.
+    """
+    k = labels.shape[1]
+    extent = np.array([_nanmedian(_distances(unbiased[inlier[:, j], j])) for j in range(k)])
+    leader = int(extent.argmax())
+    follows = np.zeros(k, bool)
+    for j in range(k):
+        rows = inlier[:, j] & inlier[:, leader]
+        if j != leader:
+            follows[j] = _chance(labels[rows, j], unbiased[rows, leader]) < YIELDING_CHANCE
+    return np.array(
+        [follows[j] or (reference[reference[j]] == j and follows[reference[j]]) for j in range(k)]
+    )
+
+
+def _distances(xy: FloatArray) -> FloatArray:
+    """Distances (N,) of positions (N, 2) from their median."""
+    return np.asarray(np.linalg.norm(xy - np.median(xy, axis=0), axis=1)) if len(xy) else np.zeros(0)
+
+
+def _chance(followers: FloatArray, leaders: FloatArray) -> float:
+    """Probability that positions (N, 2) are as close to a linear function of others (N, 2) by chance (F test).
+
+    The less likely one of both axes; 1 with too few of them.
+    """
+    n, terms = len(followers), 3
+    if n <= terms:
+        return 1.0
+    design = np.column_stack([np.ones(n), leaders])
+    coefficients, *_ = np.linalg.lstsq(design, followers, rcond=None)
+    rest = ((followers - design @ coefficients) ** 2).sum(axis=0)
+    explained = ((followers - followers.mean(axis=0)) ** 2).sum(axis=0) - rest
+    ratio = (explained / (terms - 1)) / np.maximum(rest / (n - terms), 1e-12)
+    return float(f_distribution.sf(ratio.max(), terms - 1, n - terms))
 
 
 def _nanmedian(values: FloatArray) -> float:

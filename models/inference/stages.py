@@ -29,6 +29,8 @@ class StageSettings:
         A keypoint too near to its reference keypoint or too far from it gets likelihood 0.
     motion_evidence : bool
         Without labels: what moves in the video is taken for the actuator, not what looks most like one.
+    base_measurement : bool
+        Without labels: a fixed end that yields is measured in every frame, not held at one place.
     self_training : bool
         Without labels: fit the network to the video first where it is not sure everywhere.
     edge_orientation : bool
@@ -43,6 +45,7 @@ class StageSettings:
     backward_pass: bool = True
     distance_check: bool = True
     motion_evidence: bool = True
+    base_measurement: bool = True
     self_training: bool = True
     edge_orientation: bool = True
 

@@ -24,7 +24,7 @@ class BaseAnchoredEstimator(CoarseToFineEstimator):
     Attributes
     ----------
     fixed_xy : ndarray of float, shape (2,)
-        Position of the fixed end, px.
+        Position of the fixed end, px; of one that yields its median.
     body_px : float
         Length of the body, px.
     calibration : Calibration

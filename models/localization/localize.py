@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -40,11 +41,52 @@ ACROSS_SD_SHARE = 0.55
 """Factor on the predicted sd across the end's axis after both corrections (end regression, edge orientation): rms over
 the frames of a video; 26 of 38 training looks fall below it, one in ten is more than 1.4 times above."""
 
-FitEnds = Callable[[Frames, FloatArray, BoolArray, RegionOfInterest], tuple[FloatArray, EndRegressor | None]]
-"""From probe frames, positions (N, K, 2) px, inliers (N,) and the region: corrected positions, and an end regressor."""
+
+class FitEnds(Protocol):
+    """Registers ends over the probe frames and fits an end regressor to them."""
+
+    def __call__(
+        self,
+        probe_frames: Frames,
+        xy: FloatArray,
+        inlier: BoolArray,
+        region: RegionOfInterest,
+        base_moves: bool = False,
+    ) -> tuple[FloatArray, EndRegressor | None]:
+        """Corrected positions, and the regressor.
+
+        Parameters
+        ----------
+        probe_frames : ndarray of uint8, shape (N, H, W, 3)
+        xy : ndarray of float, shape (N, K, 2)
+            Positions found in them, px.
+        inlier : ndarray of bool, shape (N,)
+            Frames that are used.
+        region : RegionOfInterest
+            Of frames of this size.
+        base_moves : bool, optional
+            Whether the fixed end moves too, and is treated as the moving end is.
+        """
+
 
 FitNetwork = Callable[[Frames, PseudoLabels, RegionOfInterest], CoarseToFineEstimator | None]
 """From probe frames, their pseudo-labels and the region: an estimator fitted to the video; None where that fails."""
+
+
+@dataclass(frozen=True)
+class MeasuredBase:
+    """A fixed end that yields, so that it is measured in every frame.
+
+    Attributes
+    ----------
+    turn_rad : float
+        Correction of its direction, rad, from x toward y.
+    across_sd_share : float
+        Factor on its predicted sd across its direction.
+    """
+
+    turn_rad: float
+    across_sd_share: float
 
 
 @dataclass(frozen=True)
@@ -58,7 +100,7 @@ class LocalizedActuator:
     estimator : BaseAnchoredEstimator
         Knows the fixed end and the body's length.
     fixed : Detections
-        Both points of the fixed end (1, 2), calibrated, with their direction corrected.
+        Both points of the fixed end (1, 2), calibrated, with their direction corrected: where it is held.
     end_px : float
         Length of the moving end, px.
     turn_rad : float
@@ -67,6 +109,8 @@ class LocalizedActuator:
         Factor on the moving end's predicted sd across its direction.
     inlier_share : float
         Share of the probe frames that agree on this actuator.
+    base : MeasuredBase or None
+        How the fixed end is measured in every frame where it yields; None where it is held.
     """
 
     metadata: CheckpointMetadata
@@ -76,16 +120,24 @@ class LocalizedActuator:
     turn_rad: float
     across_sd_share: float
     inlier_share: float
+    base: MeasuredBase | None = None
 
     def anchored(self, found: Detections) -> Detections:
         """Calibrated detections (N, K) with the fixed end at its place and the moving end's direction corrected.
 
-        A frame whose chain is not this actuator gets likelihoods of zero.
+        A fixed end that yields stays where it is found, with its direction corrected and its own likelihood. A frame
+        whose chain is not this actuator gets likelihoods of zero.
         """
         inlier = inlier_mask(found.xy, self.estimator.fixed_xy, self.estimator.body_px, self.end_px)
         xy, likelihood, covariance = found.xy.copy(), found.likelihood.copy(), found.covariance.copy()
-        xy[:, FIXED], likelihood[:, FIXED] = self.fixed.xy, self.fixed.likelihood
-        covariance[:, FIXED] = self.fixed.covariance
+        if self.base is None:
+            xy[:, FIXED], likelihood[:, FIXED] = self.fixed.xy, self.fixed.likelihood
+            covariance[:, FIXED] = self.fixed.covariance
+        else:
+            xy[:, FIXED] = _turn_ends(xy[:, FIXED], self.base.turn_rad)
+            covariance[:, FIXED] = _scale_across(
+                covariance[:, FIXED], xy[:, FIXED], self.base.across_sd_share
+            )
         xy[:, MOVING] = _turn_ends(xy[:, MOVING], self.turn_rad)
         covariance[:, MOVING] = _scale_across(covariance[:, MOVING], xy[:, MOVING], self.across_sd_share)
         return Detections(xy, np.where(inlier[:, None], likelihood, 0.0), covariance)
@@ -124,14 +176,17 @@ def find_actuator(
     # For a network trained on labels, the labels say where ends lie and how they point.
     zero_shot = metadata.pretrained
     if zero_shot and fit_network is not None:
-        labels = consensus.pseudo_labels(probe_frames, metadata, estimator)
+        held = not _base_yields(consensus, probe_frames, metadata, estimator)
+        labels = consensus.pseudo_labels(probe_frames, metadata, estimator, base_is_held=held)
         if labels.positive.sum() >= MIN_SURE and labels.positive.mean() < MAX_SURE_SHARE:
             fitted = fit_network(probe_frames, labels, consensus.view.region)
             estimator, consensus = better_of(probe_frames, metadata, (estimator, consensus), fitted)
     inlier, region = consensus.inlier, consensus.view.region
     xy, regressor = consensus.found.xy, estimator.end_regressor
+    yields = _base_yields(consensus, probe_frames, metadata, estimator)
     if zero_shot and fit_ends is not None:
-        xy, regressor = fit_ends(probe_frames, xy, inlier, region)
+        moves = {"base_moves": True} if yields else {}
+        xy, regressor = fit_ends(probe_frames, xy, inlier, region, **moves)
     metadata = consensus.metadata_for(metadata)
     fixed = _fixed_end(metadata.calibration.apply(consensus.found), inlier)
     fixed_rad = moving_rad = 0.0
@@ -140,12 +195,38 @@ def find_actuator(
             _turn_rad(probe_frames, xy[:, end], inlier, region) for end in (FIXED, MOVING)
         )
     across = ACROSS_SD_SHARE if zero_shot and regressor is not None else 1.0
+    base = None
+    if yields:
+        # Each end has what the regressor does for it, and only that.
+        base_across, across = (
+            _across_sd_share(regressor, end, xy.shape[1], across) for end in (FIXED, MOVING)
+        )
+        base = MeasuredBase(fixed_rad, base_across)
     fixed_xy = _turn_ends(fixed.xy, fixed_rad)
     fixed = Detections(fixed_xy, fixed.likelihood, _scale_across(fixed.covariance, fixed_xy, across))
     anchored = consensus.anchored_estimator(estimator, regressor, metadata)
     return LocalizedActuator(
-        metadata, anchored, fixed, consensus.end_px, moving_rad, across, float(inlier.mean())
+        metadata, anchored, fixed, consensus.end_px, moving_rad, across, float(inlier.mean()), base
     )
+
+
+def _base_yields(
+    consensus: Consensus,
+    probe_frames: Frames,
+    metadata: CheckpointMetadata,
+    estimator: CoarseToFineEstimator,
+) -> bool:
+    """Whether the probe frames show that the fixed end turns."""
+    if not estimator.stages.base_measurement:
+        return False
+    calibrated = consensus.metadata_for(metadata).calibration.apply(consensus.found)
+    return consensus.base_yields(probe_frames, calibrated)
+
+
+def _across_sd_share(regressor: EndRegressor | None, end: slice, k: int, share: float) -> float:
+    """`share` where one of a chain's ends (of K keypoints) is regressed, else 1."""
+    keypoints = tuple(range(k)[end])
+    return share if regressor is not None and keypoints in map(tuple, regressor.ends) else 1.0
 
 
 def _accepted_consensus(

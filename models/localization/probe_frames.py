@@ -1,7 +1,7 @@
 """Probe frames: frames spread over a video, taken together.
 
 A network that knows actuators in general finds canonical points in single frames, wrong ones among them, and may take
-either end for the fixed one. But the fixed end does not move, so it is where all probe frames together say, and the
+either end for the fixed one. But the fixed end hardly moves, so it is where all probe frames together say, and the
 actuator is the same one in all of them. What the frames agree on is their consensus.
 """
 
@@ -20,6 +20,7 @@ from ..inference.crops import CropGeometry
 from ..inference.metadata import LONGER, SHORTER, CheckpointMetadata
 from ..inference.roi import RegionOfInterest, region_of_interest
 from .base_anchor import BaseAnchoredEstimator
+from .base_motion import base_yields
 from .chain_assembly import assemble_chain, likeliest_points
 from .motion import MotionEvidence, motion_evidence
 
@@ -104,7 +105,7 @@ class PseudoLabels:
     Attributes
     ----------
     xy : ndarray of float, shape (N, K, 2)
-        Positions, px, the fixed end at its place in all frames; NaN where not sure.
+        Positions, px, a fixed end that is held at its place in all frames; NaN where not sure.
     positive : ndarray of bool, shape (N,)
         Frames in which the moving end is sure.
     negative : ndarray of bool, shape (N, 2)
@@ -193,8 +194,18 @@ class Consensus:
             calibration=metadata.calibration,
         )
 
+    def base_yields(self, probe_frames: Frames, calibrated: Detections) -> bool:
+        """Whether the fixed end turns, in the inliers that show it; `calibrated` is `found`, calibrated."""
+        seen = self.inlier & (calibrated.likelihood[:, FIXED].min(axis=1) >= SEEN_LIKELIHOOD)
+        images = [probe_frames[i] for i in np.flatnonzero(seen).tolist()]
+        return base_yields(images, self.found.xy[seen, FIXED], self.view.region)
+
     def pseudo_labels(
-        self, probe_frames: Frames, metadata: CheckpointMetadata, estimator: CoarseToFineEstimator
+        self,
+        probe_frames: Frames,
+        metadata: CheckpointMetadata,
+        estimator: CoarseToFineEstimator,
+        base_is_held: bool = True,
     ) -> PseudoLabels:
         """Pseudo-labels for self-training, from what an estimator anchored at the fixed end finds."""
         metadata = self.metadata_for(metadata)
@@ -208,7 +219,9 @@ class Consensus:
         # Unsure points between the ends, and a fixed end that is hidden, are neither positives nor negatives.
         xy = np.where(unsure[..., None], np.nan, found.xy)
         xy[:, MOVING] = found.xy[:, MOVING]
-        fixed = np.median(self.found.xy[self.inlier, FIXED], axis=0)
+        fixed = found.xy[:, FIXED]
+        if base_is_held:
+            fixed = np.median(self.found.xy[self.inlier, FIXED], axis=0)
         xy[:, FIXED] = np.where(unsure[:, FIXED, None], np.nan, fixed)
         anchored = _at_fixed_end(found.xy, self.fixed_xy, self.body_px)
         positive = self.inlier & anchored & (likelihood[:, MOVING].min(axis=1) >= SURE_END)

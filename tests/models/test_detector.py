@@ -15,6 +15,11 @@ from bendtrack.models.networks.shipped import shipped_network
 from bendtrack.tracker.errors import VideoError
 
 
+def test_a_network_that_is_anchored_nowhere_measures_the_fixed_end(shipped: Checkpoint) -> None:
+    detector = NetworkDetector.load(shipped_network("resnet18"), engine="torch", device="cpu")
+    assert detector.findings == {"fixed_end": "measured"}
+
+
 @pytest.mark.parametrize("off", [None, "end_regression", "self_training"])
 def test_stages_without_labels(off: str | None, shipped: Checkpoint, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each stage is handed to `find_actuator` unless it is off."""

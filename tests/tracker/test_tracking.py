@@ -57,6 +57,21 @@ def test_provenance_tells_where_the_numbers_come_from(arm_video, film):
     json.dumps(table.provenance, allow_nan=False)
 
 
+def test_what_a_detector_found_out_is_recorded_and_keeps_results_up_to_date(arm_video, film, tmp_path):
+    class Reporting(film.DiscDetector):
+        @property
+        def findings(self):
+            return {"fixed_end": "measured"}
+
+    table = track(arm_video, Reporting(), DEFINITION)
+    assert table.provenance["findings"] == {"fixed_end": "measured"}
+    assert "findings" not in track(arm_video, film.DiscDetector(), DEFINITION).provenance
+    write_results(table, tmp_path, "arm")
+    sha = file_sha256(arm_video)
+    assert is_up_to_date(tmp_path, "arm", sha, {"name": "discs"}, tracking_settings(DEFINITION))
+    assert read_results(tmp_path / "arm.h5").provenance == table.provenance
+
+
 def test_tracked_table_is_up_to_date_once_written(arm_video, film, tmp_path):
     table = track(arm_video, film.DiscDetector(), DEFINITION)
     write_results(table, tmp_path, "arm")

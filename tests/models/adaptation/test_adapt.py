@@ -122,3 +122,20 @@ def test_an_unsure_network_is_self_trained_unless_the_stage_is_off(
     steps.clear()
     detector.for_video(images, lambda *done: steps.append(done))
     assert steps == []
+
+
+def test_a_base_that_moves_is_registered_and_regressed_as_the_moving_end_is(film, features) -> None:
+    images, truth, _ = film
+    (region,) = regions_of_interest(truth, [SIZE_WH] * FRAMES)
+    found = truth + np.random.default_rng(0).normal(0, 0.8, truth.shape)
+    some = slice(0, None, 2)
+    registered, network = register_and_fit(
+        images[some], found[some], np.ones(FRAMES // 2, bool), region, REFERENCE, features, base_moves=True
+    )
+    before, after = (
+        orientations(xy, REFERENCE)[:, 0] - orientations(truth[some], REFERENCE)[:, 0]
+        for xy in (found[some], registered)
+    )
+    assert after.std() < 0.5 * before.std()
+    assert network is not None
+    assert TorchEndRegressor(network).ends == ((0, 1), (2, 3))

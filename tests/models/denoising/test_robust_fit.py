@@ -124,3 +124,40 @@ def test_no_function_writes_into_its_arguments(bends) -> None:
     denoised_positions(labels, truth, geometry(scale))
     for before, after in zip(given, (truth, labels, scale), strict=True):
         np.testing.assert_array_equal(before, after)
+
+
+def yielding_positions(yield_deg: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Arms (N, 4, 2) px whose clamp gives way as they bend, and their denoised positions.
+
+    Labels have 1 px of noise, the network 0.2 px.
+    """
+    bend_deg = np.linspace(0, 150, FRAMES)
+    truth = arms(bend_deg, SCALE)
+    turn = np.radians(yield_deg * bend_deg / 150)
+    rotation = np.stack([np.cos(turn), np.sin(turn), -np.sin(turn), np.cos(turn)], axis=1).reshape(-1, 2, 2)
+    pivot = np.array([85.0, 100.0])
+    truth = pivot + (truth - pivot) @ rotation
+    rng = np.random.default_rng(seed)
+    labels = truth + rng.normal(0, 1, truth.shape)
+    return truth, denoised_positions(labels, truth + rng.normal(0, 0.2, truth.shape), geometry(SCALE))[0]
+
+
+def base_deg(xy: np.ndarray) -> np.ndarray:
+    """Direction (N,) of the fixed end, degrees."""
+    return np.asarray(np.degrees(np.arctan2(*(xy[:, 1] - xy[:, 0]).T[::-1])))
+
+
+@pytest.mark.parametrize("yield_deg", [8.0, -4.0])
+def test_a_fixed_end_that_yields_is_not_put_at_its_median(yield_deg: float) -> None:
+    """Its first point moves by less than a click is off, and goes with the second, which moves by more."""
+    for seed in range(4):
+        truth, positions = yielding_positions(yield_deg, seed)
+        error_deg = base_deg(positions) - base_deg(truth)
+        assert abs(np.polyfit(np.linspace(0, 1, FRAMES), error_deg, 1)[0]) < 0.15 * abs(yield_deg)
+        assert len(np.unique(positions[:, 0], axis=0)) == FRAMES
+
+
+def test_a_fixed_end_that_is_held_is_put_at_its_median_whatever_the_noise() -> None:
+    for seed in range(30):
+        _, positions = yielding_positions(0.0, seed)
+        assert len(np.unique(positions[:, 0], axis=0)) == len(np.unique(positions[:, 1], axis=0)) == 1

@@ -559,3 +559,96 @@ def test_end_regression_reduces_the_predicted_sd_across_the_end(localize_with) -
             for k in (2, 3):
                 own = np.einsum("ni,nij,nj->n", direction, found.covariance[:, k], direction)
                 np.testing.assert_allclose(own, variance, rtol=1e-6)
+
+
+def yielding_arms(yield_deg: float) -> np.ndarray:
+    """Arms (30, 4, 2) px whose clamp gives way as they bend, about a point 20 px behind the fixed end."""
+    pivot, turn = np.array([280.0, 200.0]), np.radians(np.linspace(0, yield_deg, 30))
+    rotation = np.stack([np.cos(turn), np.sin(turn), -np.sin(turn), np.cos(turn)], axis=1).reshape(-1, 2, 2)
+    return pivot + (arms() - pivot) @ rotation
+
+
+def measured_angles(truth: np.ndarray, stages: StageSettings, noise_px: float = 0.1) -> np.ndarray:
+    """Angles (30,) degrees that an estimator with a little noise gives in a film of arms."""
+    estimator = Oracle(truth, np.full((30, 4), 0.6), noise_px=noise_px)
+    object.__setattr__(estimator, "stages", stages)
+    actuator = find_actuator(drawn(truth), METADATA, estimator)
+    found = Detections(estimator.xy, np.full((30, 4), 0.9), np.tile(0.1 * np.eye(2), (30, 4, 1, 1)))
+    angle_deg, _, _ = bending_angle(actuator.anchored(found).xy, KEYPOINTS, actuator.metadata.definition)
+    return np.asarray(angle_deg)
+
+
+@pytest.mark.parametrize("yield_deg", [8.0, -8.0])
+def test_stage_base_measurement(yield_deg: float) -> None:
+    """A base that yields by 8 degrees is measured within 1.5 degrees in every frame; held, 3.5 are missing."""
+    truth = yielding_arms(yield_deg)
+    expected = np.linspace(0, 120, 30)
+    measured, held = (
+        np.abs(measured_angles(truth, StageSettings(base_measurement=runs)) - expected)
+        for runs in (True, False)
+    )
+    assert measured.max() < 1.5
+    assert np.sqrt(np.mean(measured**2)) < 0.7
+    assert held.max() > 3.5
+
+
+def test_a_held_base_is_measured_the_same_with_and_without_base_measurement() -> None:
+    for noise_px in (0.0, 1.0):
+        with_stage, without = (
+            measured_angles(arms(), StageSettings(base_measurement=runs), noise_px) for runs in (True, False)
+        )
+        np.testing.assert_array_equal(with_stage, without)
+
+
+def test_a_measured_base_keeps_its_own_likelihood_and_covariance() -> None:
+    """A frame in which a hand hides the base says so; a held base would not."""
+    truth = yielding_arms(8.0)
+    actuator = find_actuator(drawn(truth), METADATA, Oracle(truth, np.full((30, 4), 0.6), noise_px=0.1))
+    assert actuator.base is not None
+    likelihood = np.full((30, 4), 0.9)
+    likelihood[4, :2] = 0.1
+    covariance = np.tile(np.eye(2), (30, 4, 1, 1)) * np.arange(1, 31)[:, None, None, None]
+    found = actuator.anchored(Detections(truth, likelihood, covariance))
+    np.testing.assert_array_equal(found.likelihood, likelihood)
+    np.testing.assert_allclose(found.covariance, covariance)
+
+
+def test_a_regressor_of_the_fixed_end_is_asked_for_where_it_yields_only() -> None:
+    asked: list[dict[str, bool]] = []
+
+    class Regressor:
+        ends = ((0, 1), (2, 3))
+
+        def __call__(self, images):
+            return np.zeros((len(images), 2, 3))
+
+    def fit_ends(probe_frames, xy, inlier, region, **moves):
+        asked.append(moves)
+        return xy, Regressor()
+
+    for truth in (yielding_arms(8.0), arms()):
+        oracle = Oracle(truth, np.full((30, 4), 0.6), noise_px=0.1)
+        actuator = find_actuator(drawn(truth), METADATA, oracle, fit_ends)
+        assert actuator.across_sd_share == ACROSS_SD_SHARE
+        assert (actuator.base is None) == (len(asked) == 2)
+        if actuator.base is not None:
+            assert actuator.base.across_sd_share == ACROSS_SD_SHARE
+    assert asked == [{"base_moves": True}, {}]
+
+
+def test_pseudo_labels_of_a_base_that_yields_are_where_it_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Self-training on a base at its median would teach the network to hold it."""
+    given: list[PseudoLabels] = []
+
+    def fit_network(probe_frames, labels, region):
+        given.append(labels)
+
+    for truth in (yielding_arms(8.0), arms()):
+        peak = np.full((30, 4), 0.6)
+        peak[::4, 2:] = 0.3
+        oracle = Oracle(truth, peak, noise_px=0.1)
+        monkeypatch.setattr(BaseAnchoredEstimator, "detect", lambda _, *args, own=oracle: own.detect(*args))
+        find_actuator(drawn(truth), METADATA, oracle, None, fit_network)
+    turns_deg = [np.degrees(np.arctan2(*(labels.xy[:, 1] - labels.xy[:, 0]).T[::-1])) for labels in given]
+    assert np.nanmax(turns_deg[0]) - np.nanmin(turns_deg[0]) > 7
+    assert np.nanmax(turns_deg[1]) - np.nanmin(turns_deg[1]) < 0.01

@@ -19,6 +19,7 @@ has a material, a background, a shape and a clamp that pretraining has not seen.
 """
 
 from .chain import KEYPOINTS
+from .disturbances import Cable, Disturbances, Hand, Tube
 from .drawing import draw
 from .families import HELD_OUT, TRAINING, Families, Words
 from .look import Look
@@ -29,10 +30,14 @@ __all__ = [
     "HELD_OUT",
     "KEYPOINTS",
     "TRAINING",
+    "Cable",
+    "Disturbances",
     "Families",
+    "Hand",
     "Look",
     "Renderer",
     "Sample",
+    "Tube",
     "Words",
     "before_other_background",
     "draw",

@@ -17,6 +17,7 @@ from .body_texture import draw_texture
 from .chain import DENSE, KEYPOINTS, Chain, Projection, opposite, turn_in_image_deg
 from .clamps import clamp, reach
 from .distractors import Painter
+from .disturbances import CALM, Disturbances, load
 from .exposure import expose, light_map
 from .look import Light, Look, Place
 from .paint import Shade, axes, curve
@@ -92,11 +93,19 @@ class Renderer:
     bystanders : sequence of (Look, float), optional
         Bodies that lie about and do not move, such as a tube that looks like an actuator: of each its body, surface and
         place, and its bend in degrees.
+    disturbances : Disturbances, optional
+        What else goes on during the film, and whether clamp and camera give way.
     """
 
-    def __init__(self, look: Look, bystanders: Sequence[tuple[Look, float]] = ()) -> None:
+    def __init__(
+        self,
+        look: Look,
+        bystanders: Sequence[tuple[Look, float]] = (),
+        disturbances: Disturbances = CALM,
+    ) -> None:
         self.look = look
         self._bystanders = bystanders
+        self._disturbances = disturbances
         self._unit = max(look.size_wh) / 256
         self._projection = Projection(look.view, look.size_wh)
         self._background, self._texture = background(look.words.background, look.scene, look.size_wh)
@@ -128,7 +137,8 @@ class Renderer:
         noise_seed : int
             Of the sensor's noise.
         moment : float or None
-            Place in the film, from 0 to 1, at which the exposure has drifted. None: as the look sets it.
+            Place in the film, from 0 to 1, at which the exposure has drifted and disturbances are as far as they are
+            then. None: the exposure as the look sets it.
         sweep_deg : float
             How far the bend moves while the shutter is open. The truth is that of the middle.
 
@@ -144,36 +154,42 @@ class Renderer:
         # An odd number: the middle one is at `bend_deg` exactly.
         steps = 1 + 2 * min(int(travel_px / _SHARP_PX), 2)
         shots = [
-            self._composed(bend_deg + sweep_deg * ((k + 0.5) / steps - 0.5), pressure) for k in range(steps)
+            self._composed(bend_deg + sweep_deg * ((k + 0.5) / steps - 0.5), pressure, moment)
+            for k in range(steps)
         ]
         middle = shots[steps // 2]
         rng = np.random.default_rng([look.scene.seed, 9, noise_seed])
-        image = expose(
-            _averaged([shot.image for shot in shots]), self._lit, self._light_at(moment), look.sensor, rng
-        )
-        return self._with_truth(image, middle)
+        seen = self._disturbances.shadowed(_averaged([shot.image for shot in shots]), moment)
+        shake_xy = self._disturbances.shake_xy(moment)
+        image = expose(_shifted(seen, shake_xy), self._lit, self._light_at(moment), look.sensor, rng)
+        return self._with_truth(image, middle, shake_xy)
 
-    def _composed(self, bend_deg: float, pressure: float) -> _Shot:
+    def _composed(self, bend_deg: float, pressure: float, moment: float | None) -> _Shot:
         """Background, shadow, body, clamps and occluders at one bend, before the camera."""
         look = self.look
-        chains = [Chain(look.body, place, bend_deg) for place in self._places]
+        own = self._disturbances.place(look, bend_deg)
+        places = (*self._places[:-1], own)
+        chains = [Chain(look.body, place, bend_deg) for place in places]
         image = self._background.copy()
+        self._disturb_behind(image, bend_deg, moment)
         # A large body is sharp enough with one sample a px: the texture's own edge is smooth.
         fine = 2 if 2 * look.body.half_px * look.body.length_px < _LARGE_PX else 1
         layers: list[tuple[Layer | None, Layer | None]] = []
         for chain in chains:
             texture = draw_texture(look.body, look.surface, look.light, chain, pressure, 0.6 + 0.7 * fine)
             layers.append(warped(texture, chain, self._projection, look.size_wh, look.body.tip_over, fine))
-        shadow = self._texture * self._shadow([layer for pair in layers for layer in pair if layer])
+        shadow = self._texture * self._shadow([layer for pair in layers for layer in pair if layer], places)
         image = cv2.multiply(image, cv2.cvtColor(shadow, cv2.COLOR_GRAY2RGB), dtype=cv2.CV_8U)
         clamped, cover = np.zeros((2, *image.shape[:2]), np.uint8)
         # The labelled arm comes last and lies over the other.
-        for place, (behind, front) in zip(self._places, layers, strict=True):
+        for place, (behind, front) in zip(places, layers, strict=True):
             for layer in (behind, front):
                 if layer is not None:
                     _blend(image, layer, self._shade if layer is front and behind is not None else None)
-            self._clamp(image, place, clamped if place is look.place else None)
+            self._clamp(image, place, clamped if place is own else None)
         self._occlude(image, cover)
+        hand_rng = np.random.default_rng([look.scene.seed, 11])
+        self._disturbances.draw_hand(Painter(image, hand_rng, self._unit, self._shade, cover), moment)
         return _Shot(image, chains[-1], *layers[-1], cover, clamped)
 
     def _light_at(self, moment: float | None) -> Light:
@@ -185,7 +201,7 @@ class Renderer:
         wander = 1 + light.drift * np.sin(2 * np.pi * (times * moment + phase))
         return replace(light, gain=light.gain * float(wander))
 
-    def _with_truth(self, image: ImageArray, shot: _Shot) -> Sample:
+    def _with_truth(self, image: ImageArray, shot: _Shot, shake_xy: FloatArray) -> Sample:
         """The image that the camera hands over, and the truth of what was in front of it."""
         chain, behind, front = shot.chain, shot.behind, shot.front
         s = np.concatenate([np.linspace(0, chain.length_px, DENSE), chain.keypoint_s])
@@ -208,7 +224,29 @@ class Renderer:
                 if inside and front.rgba[v, u, 3] > 127:
                     visible[index] = False
         angle = turn_in_image_deg(keypoints, midline)
+        if shake_xy.any():
+            midline, keypoints = midline + shake_xy, keypoints + shake_xy
+            visible &= ((keypoints >= -0.5) & (keypoints <= np.array([width, height]) - 0.5)).all(axis=1)
         return Sample(image, midline, keypoints, visible, angle, self.look)
+
+    def _disturb_behind(self, image: ImageArray, bend_deg: float, moment: float | None) -> None:
+        """Tubes and cables that move a little, drawn in place over the background."""
+        look = self.look
+        for tube in self._disturbances.tubes:
+            rest_deg, full_deg = tube.bend_deg
+            own_deg = rest_deg + (full_deg - rest_deg) * load(look, bend_deg)
+            self._lay_down(image, tube.look, own_deg)
+        # A hose is drawn without any random number.
+        painter = Painter(image, np.random.default_rng(0), self._unit, self._shade)
+        self._disturbances.draw_cable(painter, moment)
+
+    def _lay_down(self, image: ImageArray, other: Look, bend_deg: float) -> None:
+        """Another look's body, drawn in place in this look's light."""
+        chain = Chain(other.body, other.place, bend_deg)
+        texture = draw_texture(other.body, other.surface, self.look.light, chain, 0.0, 1.9)
+        for layer in warped(texture, chain, self._projection, self.look.size_wh, other.body.tip_over, 2):
+            if layer is not None:
+                _blend(image, layer, self._shade)
 
     def _draw_behind(self) -> None:
         """Things that lie about and the tubes: into the background."""
@@ -232,11 +270,7 @@ class Renderer:
         if len(self._places) == 2:
             self._mount(painter, rng)
         for other, bend_deg in self._bystanders:
-            chain = Chain(other.body, other.place, bend_deg)
-            texture = draw_texture(other.body, other.surface, look.light, chain, 0.0, 1.9)
-            for layer in warped(texture, chain, self._projection, look.size_wh, other.body.tip_over, 2):
-                if layer is not None:
-                    _blend(self._background, layer, self._shade)
+            self._lay_down(self._background, other, bend_deg)
 
     def _mount(self, painter: Painter, rng: np.random.Generator) -> None:
         """What joins the clamps of two arms."""
@@ -288,7 +322,7 @@ class Renderer:
             across = float(chain.heading_at(np.array(s))) + np.pi / 2 + rng.normal(0, 0.5)
             painter.any_occluder(place, across + np.pi * int(rng.integers(2)))
 
-    def _shadow(self, layers: list[Layer]) -> FloatArray:
+    def _shadow(self, layers: list[Layer], places: Sequence[Place]) -> FloatArray:
         """What the bodies' and clamps' shadow leaves of the light on the background, (H, W) float32."""
         light, (width, height) = self.look.light, self.look.size_wh
         mask = np.zeros((height, width), np.uint8)
@@ -296,7 +330,7 @@ class Renderer:
             rows, columns = layer.rgba.shape[:2]
             part = mask[layer.y0 : layer.y0 + rows, layer.x0 : layer.x0 + columns]
             np.maximum(part, layer.rgba[..., 3], out=part)
-        for place in self._places:
+        for place in places:
             heading, thick = np.radians(place.direction_deg), 2 * self.look.body.half_px
             along, _ = axes(heading)
             ends = np.array([place.base_xy, np.asarray(place.base_xy) - 1.2 * thick * along])
@@ -321,6 +355,16 @@ def _averaged(images: list[ImageArray]) -> ImageArray:
     for image in images:
         cv2.accumulate(image, total)
     return np.asarray(cv2.convertScaleAbs(total, alpha=1 / len(images)), np.uint8)
+
+
+def _shifted(image: ImageArray, shift_xy: FloatArray) -> ImageArray:
+    """An image as a camera that has moved sees it; what comes in at the border mirrors what lies next to it."""
+    if not shift_xy.any():
+        return image
+    matrix = np.column_stack([np.eye(2), shift_xy])
+    size = image.shape[1], image.shape[0]
+    moved = cv2.warpAffine(image, matrix, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT_101)
+    return np.asarray(moved, np.uint8)
 
 
 def _blend(image: ImageArray, layer: Layer, shade: Shade | None) -> None:
