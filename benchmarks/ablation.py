@@ -58,6 +58,7 @@ WITH_LABELS = (
     "static_patches",
     "backward_pass",
     "distance_check",
+    "film_calibration",
 )
 WITHOUT_LABELS = (
     "end_regression",

@@ -15,9 +15,12 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..tracker.errors import BendtrackWarning, CheckpointError
 from ..tracker.hashing import file_sha256
 from ..tracker.types import Correlation, Detections, Frames
+from .inference.calibration import film_scale
 from .inference.coarse_to_fine import CoarseToFineEstimator
 from .inference.crops import CropGeometry
 from .inference.metadata import CheckpointMetadata, read_metadata, weights_file
@@ -249,6 +252,17 @@ class NetworkDetector:
         """Calibrated detections, anchored at the video's actuator after `for_video`."""
         found = self.metadata.calibrated(found, geometry, self.stages)
         return found if self._anchored is None else self._anchored(found)
+
+    def film_calibrated(self, found: Detections) -> tuple[Detections, Mapping[str, Any]]:
+        """Detections (T, K) of a film with likelihoods calibrated for it, and by what they were divided.
+
+        Not after `for_video`, which calibrates for its video itself.
+        """
+        if not self.stages.film_calibration or self.metadata.pretrained or self._anchored is not None:
+            return found, {}
+        scale = film_scale(found.likelihood)
+        shares = {name: round(float(own), 3) for name, own in zip(self.keypoints, scale, strict=True)}
+        return replace(found, likelihood=np.minimum(found.likelihood / scale, 1.0)), {"peak_share": shares}
 
     def for_video(
         self, probe_frames: Frames, progress: Callable[[int, int | None], None] | None = None

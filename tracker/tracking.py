@@ -25,6 +25,7 @@ from .results import AngleTable, json_ready
 from .types import (
     Detections,
     Detector,
+    FilmCalibratedDetector,
     Flag,
     FloatArray,
     Frames,
@@ -133,6 +134,10 @@ def track(
         likelihood=_scatter([likelihood for _, likelihood, _ in found], is_decoded, (k,)),
         covariance=_scatter([covariance for _, _, covariance in found], is_decoded, (k, 2, 2)),
     )
+    findings = dict(detector.findings) if isinstance(detector, ReportingDetector) else {}
+    if isinstance(detector, FilmCalibratedDetector):
+        detections, of_film = detector.film_calibrated(detections)
+        findings |= of_film
     rows = measure(
         detections,
         detector.keypoints,
@@ -162,7 +167,7 @@ def track(
             "complete": source.complete,
         },
         "detector": detector.provenance,
-        **({"findings": dict(detector.findings)} if isinstance(detector, ReportingDetector) else {}),
+        **({"findings": findings} if findings else {}),
         "settings": tracking_settings(definition, min_likelihood, check_jumps),
         "warnings": source.warnings,
         "uncertainty": _components(detector, definition, detections.xy, rows.angle_sd_deg),

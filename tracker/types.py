@@ -153,6 +153,26 @@ class ReportingDetector(Protocol):
 
 
 @runtime_checkable
+class FilmCalibratedDetector(Protocol):
+    """A detector whose likelihoods are calibrated once more when all frames of a film are known."""
+
+    def film_calibrated(self, found: Detections) -> tuple[Detections, Mapping[str, Any]]:
+        """Calibrate likelihoods for a film.
+
+        Parameters
+        ----------
+        found : Detections
+            Of all its frames, NaN where one could not be decoded.
+
+        Returns
+        -------
+        found : Detections
+        findings : mapping of str to Any
+            JSON-ready, what was found out about the film.
+        """
+
+
+@runtime_checkable
 class VideoDetector(Detector, Protocol):
     """A detector that is more accurate, or faster, when it is given the frames of one video in order."""
 

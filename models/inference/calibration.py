@@ -20,6 +20,13 @@ from ...tracker.types import BoolArray, Detections, FloatArray
 MEDIAN_CHI2 = float(np.log(4.0))
 """Median squared Mahalanobis distance of a two-dimensional Gaussian."""
 
+FILM_QUANTILE, LEAST_FILM_SCALE = 0.25, 0.5
+"""A film's own peaks are taken from its lower quarter, for a keypoint is seen less well in some poses; below half of
+the peaks in labelled frames it may be something else that is seen."""
+
+MIN_PASSED = 0.5
+"""Share of a film's frames that must pass the checks of agreement and distance before its peaks say anything."""
+
 CLICK_SD_PX = 1.0
 """Error of a click along either axis, px of the frame, where too few labels show it."""
 
@@ -138,6 +145,29 @@ def calibrate(
     if held is not None and held_labels is not None:
         scale = spread_scale(held, held_labels, label_sd**2 * (1 + 1 / n))
     return Calibration(scale, label_sd, n, reference_peaks(trained.likelihood, known))
+
+
+def film_scale(likelihood: FloatArray) -> FloatArray:
+    """What the likelihoods of a film are divided by: in other light than the labels' all peaks are lower.
+
+    A keypoint is found there as surely as it can be; how far off it may be, its covariance says. Frames in which some
+    check failed have likelihood 0, and do not count.
+
+    Parameters
+    ----------
+    likelihood : ndarray of float, shape (T, K)
+        Of all frames of a film, NaN where it could not be decoded.
+
+    Returns
+    -------
+    ndarray of float, shape (K,)
+        `LEAST_FILM_SCALE` to 1; 1 where fewer than half of the frames pass the checks.
+    """
+    known = likelihood[np.isfinite(likelihood).all(axis=1)]
+    passed = known[(known > 0).all(axis=1)]
+    if not len(passed) or len(passed) < MIN_PASSED * len(known):
+        return np.ones(likelihood.shape[1])
+    return np.asarray(np.clip(np.quantile(passed, FILM_QUANTILE, axis=0), LEAST_FILM_SCALE, 1.0))
 
 
 def turn_shrinkage(n_labels: int, end_px: float) -> float:

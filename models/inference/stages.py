@@ -27,6 +27,8 @@ class StageSettings:
         A keypoint that was lost is searched again from the frames after it.
     distance_check : bool
         A keypoint too near to its reference keypoint or too far from it gets likelihood 0.
+    film_calibration : bool
+        Likelihoods are calibrated for the film: in other light than the labels' all peaks are lower.
     motion_evidence : bool
         Without labels: what moves in the video is taken for the actuator, not what looks most like one.
     base_measurement : bool
@@ -44,6 +46,7 @@ class StageSettings:
     static_patches: bool = True
     backward_pass: bool = True
     distance_check: bool = True
+    film_calibration: bool = True
     motion_evidence: bool = True
     base_measurement: bool = True
     self_training: bool = True

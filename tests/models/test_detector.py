@@ -13,6 +13,7 @@ from bendtrack.models.inference.stages import StageSettings
 from bendtrack.models.networks.checkpoint import Checkpoint
 from bendtrack.models.networks.shipped import shipped_network
 from bendtrack.tracker.errors import VideoError
+from bendtrack.tracker.types import Detections
 
 
 def test_a_network_that_is_anchored_nowhere_measures_the_fixed_end(shipped: Checkpoint) -> None:
@@ -44,3 +45,17 @@ def test_stages_without_labels(off: str | None, shipped: Checkpoint, monkeypatch
     assert (fit_ends is None) == (off == "end_regression")
     assert (fit_network is None) == (off == "self_training")
     assert own.stages == stages
+
+
+def test_only_a_network_with_labels_is_calibrated_for_a_film(shipped: Checkpoint) -> None:
+    """The shipped network's peaks are calibrated when it has found the actuator of a video."""
+    detector = NetworkDetector.load(shipped_network("resnet18"), engine="torch", device="cpu")
+    k = len(detector.keypoints)
+    dim = Detections(np.zeros((9, k, 2)), np.full((9, k), 0.6), np.zeros((9, k, 2, 2)))
+    assert detector.film_calibrated(dim) == (dim, {})
+    detector.metadata = replace(detector.metadata, kind="project")
+    found, findings = detector.film_calibrated(dim)
+    assert found.likelihood.tolist() == [[1.0] * k] * 9
+    assert set(findings["peak_share"].values()) == {0.6}
+    detector._estimator = replace(detector._estimator, stages=StageSettings(film_calibration=False))
+    assert detector.film_calibrated(dim) == (dim, {})

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -285,3 +286,20 @@ def test_the_two_parts_of_the_uncertainty_are_recorded(arm_video, film) -> None:
     assert parts["offset_sd_deg"] == pytest.approx(offset, rel=0.02)
     # Errors that the two points of an end share do not turn it.
     assert np.nanmedian(trained.angle_sd_deg) < np.nanmedian(alone.angle_sd_deg)
+
+
+def test_likelihoods_are_calibrated_for_the_film_and_the_results_say_how(arm_video, film) -> None:
+    class Dim(film.DiscDetector):
+        def detect(self, frames):
+            found = super().detect(frames)
+            return replace(found, likelihood=0.5 * found.likelihood)
+
+    class Calibrated(Dim):
+        def film_calibrated(self, found):
+            return replace(found, likelihood=2 * found.likelihood), {"peak_share": 0.5}
+
+    assert set(track(arm_video, Dim(), DEFINITION).flag) == {"low_likelihood"}
+    table = track(arm_video, Calibrated(), DEFINITION)
+    assert set(table.flag) == {""}
+    assert table.provenance["findings"] == {"peak_share": 0.5}
+    assert table.likelihood.max() == 1.0

@@ -13,6 +13,7 @@ from bendtrack.models.inference.calibration import (
     calibrate,
     end_correlation,
     few_label_variance_px2,
+    film_scale,
     resting_scale,
     turn_shrinkage,
     typical_scale,
@@ -156,3 +157,20 @@ def test_few_clicks_leave_the_direction_of_an_end_as_unsure_as_both_say() -> Non
         together = 1 / (1 / clicks + 1 / prior)
         assert 2 * few_label_variance_px2(n, length) / length**2 == pytest.approx(together)
     assert turn_shrinkage(100_000, 60.0) == pytest.approx(1.0, abs=1e-3)
+
+
+def test_a_film_in_other_light_has_its_own_peaks() -> None:
+    rng = np.random.default_rng(0)
+    bright, dim = rng.uniform(0.9, 1.0, (200, 2)), rng.uniform(0.4, 0.7, (200, 2))
+    np.testing.assert_allclose(film_scale(bright), np.quantile(bright, 0.25, axis=0))
+    scale = film_scale(np.hstack([bright, dim]))
+    assert scale[:2].min() > 0.9
+    assert scale[2:].tolist() == [0.5, 0.5]  # no lower than half
+    # What failed a check, and what could not be decoded, says nothing of the light.
+    failed = bright.copy()
+    failed[:80, 1] = 0.0
+    failed[80:90] = np.nan
+    assert film_scale(failed).min() > 0.9
+    failed[:130, 1] = 0.0
+    assert film_scale(failed).tolist() == [1.0, 1.0]
+    assert film_scale(np.full((3, 2), np.nan)).tolist() == [1.0, 1.0]
