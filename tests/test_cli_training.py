@@ -113,6 +113,9 @@ def test_the_newest_network_is_judged_or_the_one_named(bendtrack, trained_projec
     assert "bending angle" in ran.out
     assert "L = 18 px apart" in ran.out
     assert "Advice: L is short" in ran.out
+    # A held-out frame was clicked once: 2 / 18 rad. An error of this size is no false label.
+    assert "One label of 1 px error is then itself 6." in " ".join(ran.out.split())
+    assert "no fault of the network" in " ".join(ran.out.split())
     figures = json.loads((trained_project.models_dir / "model" / "evaluation.json").read_text())
     assert figures["n_frames"] == 2
     missing = bendtrack("evaluate", trained_project.root, "--model", "c")

@@ -51,6 +51,8 @@ def test_statistics_are_those_of_the_known_error(
     assert summary["per_actuator"]["a"]["error_px"]["n"] + summary["per_actuator"]["b"]["error_px"]["n"] == 31
     assert summary["end_vector_px"] == pytest.approx(24.0, abs=1e-3)
     assert summary["floor_for_1px_labels_deg"] == pytest.approx(np.rad2deg(2 / (5 * 24)), abs=1e-3)
+    # A frame that is held out was clicked once: n = 1.
+    assert summary["one_label_of_1px_deg"] == pytest.approx(np.rad2deg(2 / 24), abs=1e-3)
 
 
 def test_files_and_figures_are_written(
