@@ -136,7 +136,7 @@ def test_folds_judge_every_frame_once(bendtrack, project: Project) -> None:
     assert (figures["n_frames"], figures["folds"], figures["n_trained"]) == (10, 2, 5)
     assert len({frame["image"] for frame in figures["frames"]}) == 10
     # It is no network.
-    assert "got none: run `bendtrack train` first" in bendtrack("evaluate", project.root).err
+    assert f"got none: `bendtrack train {project.root}` trains one" in bendtrack("evaluate", project.root).err
     assert bendtrack("evaluate", project.root, "--folds", 11).status == 2
     assert bendtrack("train", project.root, "--model", "cross-validation").status == 2
 
