@@ -21,7 +21,9 @@ def test_nothing_is_pushed_out_and_the_panel_does_not_jump(small, sample_truth) 
     expect(page.locator("#repeats-due")).to_be_hidden()
 
     def tops() -> list[float]:
-        return [page.locator(one).bounding_box()["y"] for one in ("#points", "#copy-previous", "#frame-panel")]
+        return [
+            page.locator(one).bounding_box()["y"] for one in ("#points", "#copy-previous", "#frame-panel")
+        ]
 
     before = tops()
     for xy in sample_truth[image]:
