@@ -137,7 +137,7 @@ def test_places_where_no_video_is(bendtrack, trained_project: Project, tmp_path:
     (tmp_path / "folder").mkdir()
     for name, message in {
         "missing.mp4": "expected a video, got no such file or folder: ",
-        "*.avi": "expected videos, got no such file or folder for the pattern ",
+        "*.avi": "expected videos, got no file that fits the pattern ",
         "folder": "got a folder without any",
     }.items():
         ran = bendtrack("track", trained_project.root, tmp_path / name)

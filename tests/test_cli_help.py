@@ -136,7 +136,7 @@ def test_version_as_installed(bendtrack) -> None:
         (("labels", "chek"), "expected a command, got 'chek': did you mean check?"),
         (("angle", "a.mp4", "--no-browser"), "--no-browser belongs to --label"),
         (("train", "somewhere", "else"), "unexpected extra argument"),
-        (("train", "somewhere", "--seed"), "--seed"),
+        (("train", "somewhere", "--seed"), "--seed' requires an argument (help: bendtrack train --help)"),
     ],
 )
 def test_wrong_use_is_status_2(bendtrack, args: tuple[str, ...], message: str) -> None:

@@ -364,7 +364,7 @@ def listed_videos(names: Sequence[str | Path]) -> list[Path]:
                     f"expected videos in {path}, got a folder without any{_in_sub_folders(path)}"
                 )
             if not own and glob.has_magic(str(name)):
-                raise VideoError(f"expected videos, got no such file or folder for the pattern {name}")
+                raise VideoError(f"expected videos, got no file that fits the pattern {name}")
             if not own:
                 raise VideoError(f"expected a video, got no such file or folder: {name}")
         for file in own:

@@ -111,7 +111,7 @@ class Command(TyperCommand):
         except USAGE_ERROR as error:
             if is_help(error):
                 raise
-            raise WrongUse(in_one_line(error, given)) from error
+            raise WrongUse(in_one_line(error, given, f"bendtrack {info_name}")) from error
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """[OPTIONS] and the arguments, called as in the help below."""

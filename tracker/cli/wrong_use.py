@@ -45,7 +45,7 @@ def is_help(error: Any) -> bool:
     return type(error).__name__ == "NoArgsIsHelpError"
 
 
-def in_one_line(error: Any, given: Sequence[str] = ()) -> str:
+def in_one_line(error: Any, given: Sequence[str] = (), command: str = "bendtrack") -> str:
     """Put the library's error about arguments into one line.
 
     Parameters
@@ -54,13 +54,15 @@ def in_one_line(error: Any, given: Sequence[str] = ()) -> str:
         The library's error.
     given : sequence of str
         The words behind the command's name, to show what came.
+    command : str
+        What the command is called, where the error does not know.
 
     Returns
     -------
     str
         Such as "--max-minutes: expected a number, got 'five' (help: bendtrack train --help)".
     """
-    path = error.ctx.command_path if error.ctx is not None else "bendtrack"
+    path = error.ctx.command_path if error.ctx is not None else command
     return f"{_problem(error, given, path)} (help: {path} --help)"
 
 
