@@ -168,8 +168,8 @@ def check_labels(project: Project) -> CheckReport:
             findings += _check_against_curve(curve, frame, names)
     order = {frame.image_path: number for number, frame in enumerate(frames)}
     findings.sort(key=lambda finding: order[finding.image_path])
-    points = sum(int(np.isfinite(frame.xy).all(axis=1).sum()) for frame in frames)
-    return CheckReport(len(frames), points, findings, notes)
+    n_points = sum([int(np.isfinite(frame.xy).all(axis=1).sum()) for frame in frames])
+    return CheckReport(len(frames), n_points, findings, notes)
 
 
 def _finding(frame: LabelledFrame, problem: Problem, message: str, keypoints: Sequence[str] = ()) -> Finding:

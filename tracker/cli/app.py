@@ -14,7 +14,6 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from ..errors import BendtrackError
-from ..extras import install_command
 from . import console
 from .wrong_use import USAGE_ERROR, WrongUse, in_one_line, is_help
 
@@ -82,6 +81,8 @@ class _Group(TyperGroup):
             missing = (error.name or "").partition(".")[0]
             if missing not in _NEEDS_TORCH:
                 raise
+            from ..extras import install_command
+
             _tell(error, f"this needs {missing}, which is not installed: {install_command()}")
             raise typer.Exit(BendtrackError.exit_status) from None
         except USAGE_ERROR as error:
