@@ -62,6 +62,9 @@ OTHER_LIGHT = "light"
 NORMAL_95 = 1.96
 """Half of the 95 % interval of a normal distribution, in standard deviations."""
 
+STARTS = {"actuator": "pretrained network", "random": "random weights", "imagenet": "ImageNet weights"}
+"""What the figure calls where a training starts from."""
+
 LEAST_SEEN = 0.5
 """Share of the frames that must show all points for a look to say anything: a ruler may lie on an end."""
 
@@ -316,7 +319,15 @@ def draw(path: Path, rows: Mapping[tuple[str, str], Sequence[tuple[Result, float
         for (x, _), deg in zip(own, values, strict=True):
             axes.plot(np.full(len(deg), x), deg, ".", color=colour, alpha=0.5, ms=5)
         medians = [np.median(deg) for deg in values]
-        axes.plot([x for x, _ in own], medians, "o-", color=colour, label=f"from {Path(init).stem}")
+        axes.plot(
+            [x for x, _ in own],
+            medians,
+            "o-",
+            color=colour,
+            label=STARTS.get(init, f"start: {Path(init).stem}"),
+        )
+    if "0" in keys:  # what stands there is no training: nothing joins it to the rest by a number of labels
+        axes.axvline(0.5, color="0.85", lw=1)
     labelled = [i for i, key in enumerate(keys) if key != "0"]
     floors = [np.median([floor for _, floor in rows[starts[0], keys[i]]]) for i in labelled]
     axes.plot(labelled, floors, "--", color="0.4", lw=1, label="label-noise floor")
@@ -326,9 +337,9 @@ def draw(path: Path, rows: Mapping[tuple[str, str], Sequence[tuple[Result, float
     axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.set_ylim(limits)  # ticks beyond what was measured would stretch them
     axes.minorticks_off()
-    axes.set_xticks(range(len(keys)), keys)
-    axes.set_xlabel("labelled frames (1 px of noise)")
-    axes.set_ylabel("angle RMSE (degrees)")
+    axes.set_xticks(range(len(keys)), [key if key != "0" else "none" for key in keys])
+    axes.set_xlabel("labelled frames, each label 1 px off (not to scale)")
+    axes.set_ylabel("RMS error of the angle (degrees)")
     axes.grid(axis="y", color="0.9")
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(frameon=False)

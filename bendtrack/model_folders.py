@@ -7,6 +7,7 @@ the order of the times that they record themselves: times of files change with c
 from __future__ import annotations
 
 import json
+import shlex
 from datetime import UTC, datetime, timedelta
 from itertools import count
 from pathlib import Path
@@ -83,6 +84,20 @@ def start_of_training(project: Project) -> str:
     return later_than(max((time for time in times if time is not None), default=None))
 
 
+def _next(project: Project) -> str:
+    """The commands that lead to a network, in the order in which they are needed."""
+    from .labeling.store import LabelStore
+
+    root = shlex.quote(str(project.root))
+    store = LabelStore.of(project)
+    steps = [f"`bendtrack train {root}` trains one"]
+    if not store.read():
+        steps.insert(0, f"`bendtrack label {root}` opens the page to label them")
+    if not any(store.images(video) for video in store.videos()):
+        steps.insert(0, f"`bendtrack frames {root} VIDEO...` chooses frames")
+    return ", ".join(steps)
+
+
 def chosen(project: Project, name: str | None, reporter: Reporter = SILENT) -> Path:
     """The folder of the network of that name, or of the newest.
 
@@ -108,7 +123,7 @@ def chosen(project: Project, name: str | None, reporter: Reporter = SILENT) -> P
     if name is None:
         if not networks:
             raise CheckpointError(
-                f"expected a trained network in {project.models_dir}, got none: run `bendtrack train` first"
+                f"expected a trained network in {project.models_dir}, got none: {_next(project)}"
             )
         if len(networks) > 1:
             _say_doubt(networks, reporter)

@@ -15,7 +15,7 @@ from . import model_folders, training
 from .measuring import network_line
 from .networks import load_network, measured_angle, sign_for
 from .reporting import SILENT, Reporter
-from .tracker.batch import Batch, VideoOutcome, check_writable, listed_videos, track_batch
+from .tracker.batch import Batch, VideoOutcome, check_writable, listed_videos, track_batch, unreadable
 from .tracker.errors import BendtrackWarning, VideoError
 from .tracker.project import Project as ProjectFolder
 
@@ -470,6 +470,9 @@ class Project:
         folder = out or self.folder.results_dir
         check_writable(folder)
         chosen = model_folders.chosen(self.folder, model, self._reporter)
+        if failed := unreadable(paths):  # before seconds go into loading and compiling
+            yield from failed
+            return
         network = load_network(chosen, engine, device, threads, reporter=self._reporter)
         batch = Batch(
             network,

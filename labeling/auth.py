@@ -4,7 +4,8 @@ The server listens on this machine only. But any page in the user's browser can 
 domain name can be made to resolve to it (DNS rebinding), and browsers send a cookie to every port of this machine. So
 these are checked: the Host, the Origin, a cookie for the page's own files, a signature by the session's key for
 everything of the project, and for changes a header that a foreign page cannot send. A refusal is a status without
-content. Who can do what to whom is in docs/reference/threat-model.md.
+content; only a browser that opens the page without a session gets a fixed page of words, the same for everyone. Who can
+do what to whom is in docs/reference/threat-model.md.
 """
 
 from __future__ import annotations
@@ -40,6 +41,19 @@ _SECURITY_HEADERS = {
     "x-frame-options": "DENY",
 }
 
+
+_USED_TITLE = "This address was used already"
+_NO_SESSION_TITLE = "This page needs a new address"
+_WORDS = """<!doctype html>
+<html lang="en">
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>bendtrack: {title}</title>
+<h1>{title}.</h1>
+<p>Each address of the labelling page opens it once, in one browser.</p>
+<p>In the terminal press Ctrl+C, run <code>bendtrack label</code> again, and open the new address.</p>
+</html>
+"""
 
 _KEY_PATH = "/api/key"
 _PROOF_PATH = "/api/proof"
@@ -103,7 +117,8 @@ class AuthMiddleware:
             await self._log_in(scope, headers, send)
             return
         if not self._has_cookie(headers):
-            await _send_status(send, 401)
+            words = _WORDS.format(title=_NO_SESSION_TITLE) if scope["path"] == "/" else ""
+            await _send_refusal(send, 401, scope, headers, words)
             return
         if scope["path"] == _KEY_PATH:
             await self._give_key(scope, headers, send)
@@ -157,7 +172,7 @@ class AuthMiddleware:
         given = parse_qs(scope["query_string"].decode("latin-1"), max_num_fields=10).get("token", [])
         known = next((t for t in self._tokens if len(given) == 1 and _constant_time_equal(t, given[0])), None)
         if scope["method"] != "GET" or (known is None and not self._has_cookie(headers)):
-            await _send_status(send, 403)
+            await _send_refusal(send, 403, scope, headers, _WORDS.format(title=_USED_TITLE))
             return
         answer = {"location": "/", "cache-control": "no-store"}
         if known is not None:
@@ -281,6 +296,18 @@ async def _send_status(
         }
     )
     await send({"type": "http.response.body", "body": body})
+
+
+async def _send_refusal(
+    send: Send, status: int, scope: Scope, headers: Mapping[str, list[str]], words_html: str
+) -> None:
+    """Send a status; a browser that opens the page gets `words_html` with it, whatever was wrong with its token."""
+    opens_page = scope["method"] == "GET" and any("text/html" in kind for kind in headers.get("accept", []))
+    if opens_page and words_html:
+        body = words_html.encode()
+        await _send_status(send, status, {"content-type": "text/html; charset=utf-8"}, body=body)
+    else:
+        await _send_status(send, status)
 
 
 def _constant_time_equal(first: str, second: str) -> bool:

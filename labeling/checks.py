@@ -6,6 +6,7 @@ Nothing is corrected. The format of the files is checked where they are read (`s
 from __future__ import annotations
 
 import hashlib
+import shlex
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -91,6 +92,8 @@ class CheckReport:
     ----------
     labelled : int
         Number of labelled frames.
+    points : int
+        Number of points that are placed in them.
     findings : list of Finding
         Likely mistakes, in the order of the frames.
     notes : list of str
@@ -98,6 +101,7 @@ class CheckReport:
     """
 
     labelled: int
+    points: int
     findings: list[Finding]
     notes: list[str]
 
@@ -132,7 +136,11 @@ def check_labels(project: Project) -> CheckReport:
         if not entries[frame.video].get(frame.image_path.name, {}).get("skipped")
     ]
     if not frames:
-        raise LabelError(f"{project.root}: expected labelled frames to check, got none")
+        root = shlex.quote(str(project.root))
+        raise LabelError(
+            f"{project.root}: expected labelled frames to check, got none:"
+            f" `bendtrack label {root}` opens the page to label them"
+        )
     names = project.keypoints
     contents = {frame.image_path: _read_image(frame.image_path) for frame in frames}
     findings: list[Finding] = []
@@ -160,7 +168,8 @@ def check_labels(project: Project) -> CheckReport:
             findings += _check_against_curve(curve, frame, names)
     order = {frame.image_path: number for number, frame in enumerate(frames)}
     findings.sort(key=lambda finding: order[finding.image_path])
-    return CheckReport(len(frames), findings, notes)
+    n_points = sum([int(np.isfinite(frame.xy).all(axis=1).sum()) for frame in frames])
+    return CheckReport(len(frames), n_points, findings, notes)
 
 
 def _finding(frame: LabelledFrame, problem: Problem, message: str, keypoints: Sequence[str] = ()) -> Finding:

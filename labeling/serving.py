@@ -6,6 +6,7 @@ Its routes are in `server.py`.
 from __future__ import annotations
 
 import os
+import shlex
 import socket
 from collections.abc import Callable
 
@@ -62,7 +63,8 @@ def serve_labelling(
     editor = Editor(annotations, private)
     if not any(folder.states for folder in annotations.folders()):
         raise LabelError(
-            f"expected images to label in {project.labels_dir}, got none: `bendtrack frames` selects some"
+            f"expected images to label in {project.labels_dir}, got none:"
+            f" `bendtrack frames {shlex.quote(str(project.root))} VIDEO...` chooses some"
         )
     key = SessionKey()
     listening = _listen(private, port)

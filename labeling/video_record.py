@@ -38,7 +38,11 @@ def remember_video(folder: Path, video: Path) -> None:
     except ValueError:  # another drive of Windows
         path = video.resolve().as_posix()
     document = {"format": _FORMAT, "path": path}
-    atomic_write_text(folder / VIDEO_FILE, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
+    text = json.dumps(document, indent=1, ensure_ascii=False) + "\n"
+    record = folder / VIDEO_FILE
+    # A record that says so already is left as it is, with its time.
+    if not (record.is_file() and not record.is_symlink() and record.read_bytes() == text.encode()):
+        atomic_write_text(record, text)
 
 
 def remembered_video(folder: Path) -> Path | None:

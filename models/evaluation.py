@@ -79,6 +79,8 @@ class Evaluation:
                 for name in sorted(set(actuators.tolist()))
             },
             "end_vector_px": _number(length),
+            # What a single label, which each frame here is judged by, is itself off by.
+            "one_label_of_1px_deg": _number(label_noise_floor_deg(1.0, 1, length)),
             "floor_for_1px_labels_deg": _number(label_noise_floor_deg(1.0, max(self.n_trained, 1), length)),
             "frames": [
                 {

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -22,6 +23,12 @@ from .evaluation import Evaluation
 
 WORST_FRAMES = 6
 """Frames shown in worst-frames.png."""
+
+LEAST_POINTS = 3
+"""Rows of training.csv from which a learning curve is drawn."""
+
+FEW_VALUES = 10
+"""Values below which a distribution is drawn as dots."""
 
 WIDE_LOG_AXIS = 4.0
 """Ratio of the ends of an axis above which there are at least two of 1, 2, 5, 10, ... on it."""
@@ -65,17 +72,27 @@ def _learning_curve(rows: Sequence[dict[str, float]]) -> Figure:
     figure = _figure(7, 3.2)
     left, right = figure.subplots(1, 2)
     step = [row["step"] for row in rows]
-    left.plot(step, [row["loss"] for row in rows], color="0.2")
+    few = len(rows) < LEAST_POINTS
+    if not few:
+        left.plot(step, [row["loss"] for row in rows], color="0.2")
     left.set(title="Training loss", xlabel="step", ylabel="loss", yscale="log")
     px = np.array([row["held_out_px"] for row in rows], dtype=float)
-    right.plot(step, px, color=_LABEL, marker="o", markersize=3)
+    if not few:
+        right.plot(step, px, color=_LABEL, marker="o", markersize=3)
     right.set(title="Held-out frames", xlabel="step", ylabel="distance from labels (px RMS)", yscale="log")
-    if np.isnan(px).all():
+    if few:
+        for axes in (left, right):
+            text = f"{len(rows)} evaluation{'s' if len(rows) > 1 else ''}: too few for a curve"
+            axes.text(0.5, 0.5, text, ha="center", transform=axes.transAxes)
+    elif np.isnan(px).all():
         right.text(0.5, 0.5, "no frames held out", ha="center", transform=right.transAxes)
     for axes in (left, right):
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(alpha=0.25, which="both")
         _label_plainly(axes.yaxis)
+        axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))  # there is no half a step
+        if few:
+            axes.set(xticks=[], yticks=[])
     return figure
 
 
@@ -93,16 +110,25 @@ def _errors(evaluation: Evaluation) -> Figure:
     figure = _figure(7, 3.2)
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
     for k, name in enumerate(evaluation.keypoints):
-        left.step(*_cumulative(evaluation.error_px[:, k]), where="post", label=name)
+        _draw_distribution(left, evaluation.error_px[:, k], f"C{k}", name)
     left.set(title="Keypoints", xlabel="distance from label (px)", ylabel="share of frames", xlim=(0, None))
     left.legend(frameon=False, fontsize="small")
-    right.step(*_cumulative(np.abs(evaluation.angle_error_deg)), where="post", color="0.2")
+    _draw_distribution(right, np.abs(evaluation.angle_error_deg), "0.2", "bending angle")
     right.set(title="Bending angle", xlabel="difference from label (deg)", xlim=(0, None))
     for axes in (left, right):
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(alpha=0.25)
         axes.set_ylim(0, 1.02)
     return figure
+
+
+def _draw_distribution(axes: Axes, values: FloatArray, colour: str, label: str) -> None:
+    """The empirical distribution: steps, or of few values a dot for each, since steps would look like more data."""
+    x, share = _cumulative(values)
+    if len(x) - 1 < FEW_VALUES:
+        axes.plot(x[1:], share[1:], "o", color=colour, markersize=4, label=label)
+    else:
+        axes.step(x, share, where="post", color=colour, label=label)
 
 
 def _cumulative(values: FloatArray) -> tuple[FloatArray, FloatArray]:

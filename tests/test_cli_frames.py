@@ -155,7 +155,7 @@ def test_one_video_that_cannot_be_read_is_status_1_and_the_others_are_done(
     [
         (("--count", "0"), "expected at least 1 frame to select, got 0"),
         (("--by", "pressure"), "expected pressure logs, got none"),
-        (("--by", "colour"), "Invalid value for '--by'"),
+        (("--by", "colour"), "--by: expected one of pressure, appearance, time, got 'colour'"),
         (("--pressure", "nowhere.csv"), "nowhere.csv"),
         (
             ("--pressure", "a.csv", "--pressure", "b.csv"),
@@ -194,7 +194,7 @@ def test_a_log_that_ends_before_the_video_begins(
 def test_clean_labels_are_status_0(bendtrack, project: Project) -> None:
     ran = bendtrack("labels", "check", project.root)
     assert (ran.status, ran.err) == (0, "")
-    assert ran.out == "10 labelled frames: nothing to look at\n"
+    assert ran.out == "10 labelled frames with 40 points: nothing to look at\n"
 
 
 def test_findings_come_with_a_link_and_status_1(bendtrack, project: Project) -> None:
@@ -213,7 +213,11 @@ def test_findings_come_with_a_link_and_status_1(bendtrack, project: Project) -> 
     )
     assert lines[0].endswith("#arm/img00004.png")
     assert lines[1].startswith(f"{folder / 'img00006.png'}: missing point: tip_1 not labelled")
-    assert lines[-1] == "10 labelled frames: 2 to look at"
+    assert lines[-1] == "10 labelled frames with 39 points: 2 to look at"
+    # What the #... is for.
+    assert lines[-2].startswith(
+        f"To open one: start bendtrack label {project.root}, and put what begins with #"
+    )
 
 
 def test_what_cannot_be_checked_is_status_2(bendtrack, empty: Path, tmp_path: Path) -> None:

@@ -117,18 +117,36 @@ def test_version_as_installed(bendtrack) -> None:
     ("args", "message"),
     [
         ((), "Usage: bendtrack"),
-        (("measure",), "No such command 'measure'"),
-        (("train",), "Missing argument 'PROJECT'"),
-        (("track", "somewhere"), "Missing argument"),
-        (("train", "somewhere", "--max-minutes", "soon"), "Invalid value for '--max-minutes'"),
-        (("export", "somewhere", "out", "--format", "yolo"), "Invalid value for '--format'"),
-        (("train", "somewhere", "--fast"), "No such option"),
+        (("measure",), "expected a command, got 'measure'"),
+        (("trian",), "got 'trian': did you mean train"),
+        (("train",), "expected PROJECT, got nothing"),
+        (("track", "somewhere"), "expected VIDEO..., got nothing"),
+        (("train", "somewhere", "--max-minutes", "soon"), "--max-minutes: expected a number, got 'soon'"),
+        (("train", "somewhere", "--max-minutes=soon"), "--max-minutes: expected a number, got 'soon'"),
+        (("train", "somewhere", "--seed", "1.5"), "--seed: expected a whole number, got '1.5'"),
+        (("label", "somewhere", "--port", "99999"), "--port: expected at most 65535, got '99999'"),
+        (("render", "out", "--seed=-1"), "--seed: expected at least 0, got '-1'"),
+        (
+            ("export", "somewhere", "out", "--format", "yolo"),
+            "--format: expected one of dlc, coco, sleap, lightning-pose",
+        ),
+        (("train", "somewhere", "--fast"), "expected an option of bendtrack train, got --fast"),
+        (("train", "somewhere", "--minutes", "5"), "got --minutes: did you mean --max-minutes?"),
+        (("--vresion",), "expected an option of bendtrack, got --vresion: did you mean --version?"),
+        (("labels", "chek"), "expected a command, got 'chek': did you mean check?"),
+        (("angle", "a.mp4", "--no-browser"), "--no-browser belongs to --label"),
+        (("train", "somewhere", "else"), "unexpected extra argument"),
+        (("train", "somewhere", "--seed"), "--seed' requires an argument (help: bendtrack train --help)"),
     ],
 )
 def test_wrong_use_is_status_2(bendtrack, args: tuple[str, ...], message: str) -> None:
     ran = bendtrack(*args)
     assert ran.status == 2
     assert message in ran.out + ran.err
+    if args:  # without a command there is the help
+        assert ran.err.startswith("error: ")
+        assert ran.err.count("\n") == 1
+        assert "(help: bendtrack" in ran.err
 
 
 @pytest.mark.parametrize("place", ["before", "after"])

@@ -73,3 +73,19 @@ def test_a_size_is_two_numbers(bendtrack, tmp_path: Path, size: str) -> None:
     ran = bendtrack("render", tmp_path / "trial", "--size", size)
     assert ran.status == 2
     assert f"such as 640x480, got '{size}'" in ran.err
+
+
+def test_an_empty_project_says_the_next_commands_with_its_name(bendtrack, tmp_path: Path) -> None:
+    root = tmp_path / "my study"
+    assert bendtrack("new", root).status == 0
+    (tmp_path / "a.mp4").touch()
+    for words in (("evaluate", root), ("track", root, tmp_path / "a.mp4")):
+        ran = bendtrack(*words)
+        assert ran.status == 2
+        assert ran.err.count("\n") == 1
+        assert ran.err.index(f"`bendtrack frames '{root}' VIDEO...`") < ran.err.index(
+            f"`bendtrack label '{root}'`"
+        )
+        assert f"`bendtrack train '{root}'` trains one" in ran.err
+    assert f"`bendtrack frames '{root}' VIDEO...` chooses some" in bendtrack("label", root).err
+    assert f"`bendtrack label '{root}'` opens the page" in bendtrack("labels", "check", root).err

@@ -143,3 +143,16 @@ def test_in_a_project_only_logs_are_taken_for_logs(bendtrack, tmp_path: Path) ->
     assert ran.status == 0, ran.err
     dynamic = pd.read_csv(root / "study-report" / "tables" / "dynamic.csv")
     np.testing.assert_allclose(dynamic["hysteresis_ratio"], 1 / 6, atol=0.004)
+
+
+def test_a_folder_in_place_of_the_study_file_gets_the_next_command(bendtrack, tmp_path: Path) -> None:
+    folder = tmp_path / "my study"
+    folder.mkdir()
+    ran = bendtrack("analyze", folder)
+    assert ran.status == 2
+    assert f"got a folder: {folder}. bendtrack analyze --init '{folder}' writes a first study.toml" in ran.err
+    (folder / "study.toml").touch()
+    assert f"Its study file: bendtrack analyze '{folder}/study.toml'" in bendtrack("analyze", folder).err
+    assert (
+        f"bendtrack analyze '{folder}/study.toml' analyses it" in bendtrack("analyze", "--init", folder).err
+    )

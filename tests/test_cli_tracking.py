@@ -227,3 +227,27 @@ def test_a_kill_leaves_whole_files_and_the_next_run_finishes(
     assert ran.out.count(": up to date") >= 1
     assert "c.mp4: 5 frames" in ran.out
     assert names(results) == [f"{stem}.{kind}" for stem in "abc" for kind in ("csv", "h5", "json", "png")]
+
+
+def test_videos_in_sub_folders_are_named_by_a_pattern(
+    bendtrack, trained_project: Project, write_arm_video, tmp_path: Path
+) -> None:
+    (tmp_path / "films" / "day 1").mkdir(parents=True)
+    write_arm_video(tmp_path / "films" / "day 1" / "a.mp4", 3)
+    ran = bendtrack("track", trained_project.root, tmp_path / "films")
+    assert ran.status == 2
+    assert f"Videos lie in its sub-folders: write '{tmp_path}/films/*/*.mp4', quotes included" in ran.err
+    assert ran.err.count("\n") == 1
+    (tmp_path / "empty").mkdir()
+    assert "sub-folders" not in bendtrack("track", trained_project.root, tmp_path / "empty").err
+
+
+def test_what_is_no_video_is_said_before_a_network_is_loaded(
+    bendtrack, trained_project: Project, tmp_path: Path
+) -> None:
+    (tmp_path / "notes.mp4").write_text("no film")
+    for words in (("track", trained_project.root), ("angle", "--out", tmp_path / "out")):
+        ran = bendtrack(*words, tmp_path / "notes.mp4")
+        assert ran.status == 1
+        assert "Network:" not in ran.out
+        assert ran.err.startswith(f"error: {tmp_path / 'notes.mp4'}: not a video")

@@ -117,6 +117,9 @@ def test_the_newest_network_is_judged_or_the_one_named(bendtrack, trained_projec
     assert "bending angle" in ran.out
     assert "L = 18 px apart" in ran.out
     assert "Advice: L is short" in ran.out
+    # A held-out frame was clicked once: 2 / 18 rad. An error of this size is no false label.
+    assert "One label of 1 px error is then itself 6." in " ".join(ran.out.split())
+    assert "no fault of the network" in " ".join(ran.out.split())
     figures = json.loads((trained_project.models_dir / "model" / "evaluation.json").read_text())
     assert figures["n_frames"] == 2
     missing = bendtrack("evaluate", trained_project.root, "--model", "c")
@@ -137,7 +140,7 @@ def test_folds_judge_every_frame_once(bendtrack, project: Project) -> None:
     assert (figures["n_frames"], figures["folds"], figures["n_trained"]) == (10, 2, 5)
     assert len({frame["image"] for frame in figures["frames"]}) == 10
     # It is no network.
-    assert "got none: run `bendtrack train` first" in bendtrack("evaluate", project.root).err
+    assert f"got none: `bendtrack train {project.root}` trains one" in bendtrack("evaluate", project.root).err
     assert bendtrack("evaluate", project.root, "--folds", 11).status == 2
     assert bendtrack("train", project.root, "--model", "cross-validation").status == 2
 

@@ -168,7 +168,9 @@ def test_what_needs_torch_says_so_in_one_line(
     assert ran.returncode == 2
     assert ran.stderr.count("\n") == 1
     assert what in ran.stderr
-    assert ran.stderr.endswith("which is not installed: pip install bendtrack\n")
+    assert ran.stderr.endswith(
+        "which is not installed: in the copy of the repository run .venv/bin/pip install .\n"
+    )
 
 
 def test_a_network_that_is_not_compiled_says_so_without_torch(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import glob
 import secrets
+import shlex
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
@@ -39,7 +40,7 @@ from .project_settings import VIDEO_SUFFIXES
 from .results import AngleTable, read_results, write_results
 from .tracking import Progress, track, tracking_settings
 from .types import Detector, Flag, Frames
-from .video import spread_frames
+from .video import Video, spread_frames
 
 PROBE_FRAMES = 32
 """Frames in which an actuator is looked for that nobody has labelled."""
@@ -57,6 +58,9 @@ _OF_THE_BATCH = (AngleError, CheckpointError, MissingPackageError, UnwritableRes
 """Errors that every video of a batch would have."""
 
 _LONGEST_REASON = 200
+
+_DEEPEST = 3
+"""Levels of sub-folders in which videos are looked for, to say where they are. They are not taken unasked."""
 
 OVERLAY_SUFFIX = ".overlay.mp4"
 """Ends the name of every overlay video, so that none is taken for a video to track."""
@@ -304,6 +308,42 @@ def measured(
     return table, time.monotonic() - begun
 
 
+def unreadable(videos: Sequence[Path]) -> list[VideoOutcome]:
+    """What fails before a network is needed: the outcomes of all videos, where not one can be opened.
+
+    Parameters
+    ----------
+    videos : sequence of Path
+        Video files, as `listed_videos` gives them.
+
+    Returns
+    -------
+    list of VideoOutcome
+        Empty as soon as one video can be opened: the others are then said in their turn.
+    """
+    failed = []
+    for video in videos:
+        try:
+            _check_not_empty(video)
+            Video(video)
+        except Exception as error:
+            failed.append(VideoOutcome(video, State.FAILED, problem=_problem(video, error), error=error))
+        else:
+            return []
+    return failed
+
+
+def _in_sub_folders(folder: Path) -> str:
+    """Where a folder's sub-folders hold videos: the pattern that names them, as the end of a message."""
+    for depth in range(1, _DEEPEST + 1):
+        pattern = "/".join("*" * depth)
+        found = next((file for file in folder.glob(f"{pattern}/*") if _is_video(file)), None)
+        if found is not None:
+            wanted = shlex.quote(f"{folder}/{pattern}/*{found.suffix}")
+            return f". Videos lie in its sub-folders: write {wanted}, quotes included"
+    return ""
+
+
 def listed_videos(names: Sequence[str | Path]) -> list[Path]:
     """List the video files that are meant by files, folders and patterns.
 
@@ -332,9 +372,13 @@ def listed_videos(names: Sequence[str | Path]) -> list[Path]:
             among = path.iterdir() if path.is_dir() else map(Path, glob.glob(str(name), recursive=True))
             own = sorted(file for file in among if _is_video(file))
             if not own and path.is_dir():
-                raise VideoError(f"expected videos in {path}, got a folder without any")
+                raise VideoError(
+                    f"expected videos in {path}, got a folder without any{_in_sub_folders(path)}"
+                )
+            if not own and glob.has_magic(str(name)):
+                raise VideoError(f"expected videos, got no file that fits the pattern {name}")
             if not own:
-                raise VideoError(f"expected a video, got a path where nothing is: {name}")
+                raise VideoError(f"expected a video, got no such file or folder: {name}")
         for file in own:
             found.setdefault(file.resolve(), file)
     return list(found.values())
@@ -490,10 +534,14 @@ def _bends_backwards(table: AngleTable) -> bool:
     return bool(strongest.size and np.median(strongest) < -BACKWARDS_DEG)
 
 
+def _check_not_empty(video: Path) -> None:
+    if not video.stat().st_size:
+        raise VideoError(f"{video}: expected a video, got an empty file")
+
+
 def _hash_of(video: Path) -> str:
     try:
-        if not video.stat().st_size:
-            raise VideoError(f"{video}: expected a video, got an empty file")
+        _check_not_empty(video)
         return file_sha256(video)
     except OSError as error:
         raise VideoError(

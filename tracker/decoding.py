@@ -35,6 +35,8 @@ _MAX_REORDER = 16
 # FFmpeg reads so many bytes at most to probe a file.
 _PROBED_BYTES = 5_000_000
 # An elementary stream has no zeroes between its frames: so many are the rest of one that is gone.
+_LONGEST_REPORT = 60
+"""Characters of a report of FFmpeg that are shown; a warning of ours says what follows from it."""
 _ZEROES = bytes(64)
 _NUMBERS = re.compile(r"(0x)?[0-9a-f]*\d[0-9a-f]*")
 # When no picture comes at all, stop waiting for packets older than this.
@@ -160,7 +162,8 @@ class Decoding:
             yield row if self._slots is None else replace(row, stamp=self._slots[index])
         for message, count in self._heard.items():
             times = f" ({count} times)" if count > 1 else ""
-            self.problems.append(f"FFmpeg reports while reading: {message}{times}")
+            short = message if len(message) <= _LONGEST_REPORT else f"{message[: _LONGEST_REPORT - 3]}..."
+            self.problems.append(f"FFmpeg reports while reading: {short}{times}")
         if self._n_late:
             self.problems.append(f"{self._n_late} frames came out of order, too late: counted as undecodable")
         if self._n_resized:

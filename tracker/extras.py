@@ -11,6 +11,24 @@ TRAINING_PACKAGES = ("torch", "torchvision", "nncf")
 """Needed to train, and to compile a network for a machine; tracking with a compiled network does without."""
 
 
+def install_command(extra: str = "") -> str:
+    """The command that installs bendtrack with an extra; it is run in a copy of the repository.
+
+    Parameters
+    ----------
+    extra : str
+        Name of the extra, empty for none.
+
+    Examples
+    --------
+    >>> install_command("sleap")
+    "in the copy of the repository run .venv/bin/pip install '.[sleap]'"
+    """
+    what = f"'.[{extra}]'" if extra else "."
+    # Not `pip install bendtrack`: the package index has none, or somebody else's.
+    return f"in the copy of the repository run .venv/bin/pip install {what}"
+
+
 @contextmanager
 def needed(what: str, packages: tuple[str, ...], install: str) -> Iterator[None]:
     """Turn the failing import of an optional package into one line for people.
@@ -53,4 +71,4 @@ def training_packages_needed(what: str) -> AbstractContextManager[None]:
     what : str
         What cannot be done without, as the subject of a sentence.
     """
-    return needed(what, TRAINING_PACKAGES, "pip install bendtrack")
+    return needed(what, TRAINING_PACKAGES, install_command())

@@ -15,7 +15,7 @@ import numpy as np
 
 from .atomic import atomic_write_bytes, remove_leftovers
 from .errors import ResultsError, reason
-from .extras import needed
+from .extras import install_command, needed
 from .results import AngleTable
 
 _ORIGIN = "(0, 0) is the centre of the top-left pixel of the frame as displayed; x to the right, y down"
@@ -45,7 +45,7 @@ def write_nwb(table: AngleTable, path: str | Path, *, session_start: datetime.da
     ResultsError
         The file cannot be written.
     """
-    with needed("AngleTable.to_nwb()", ("pynwb", "ndx_pose", "hdmf"), "pip install 'bendtrack[nwb]'"):
+    with needed("AngleTable.to_nwb()", ("pynwb", "ndx_pose", "hdmf"), install_command("nwb")):
         from ndx_pose import PoseEstimation, PoseEstimationSeries, Skeleton, Skeletons
         from pynwb import NWBHDF5IO, NWBFile, TimeSeries
 

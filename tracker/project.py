@@ -137,7 +137,7 @@ class Project:
         """
         root = Path(root)
         if not root.exists():
-            raise ProjectError(f"expected a project folder, got a path where nothing is: {root}")
+            raise ProjectError(f"expected a project folder, got no such file or folder: {root}")
         if not root.is_dir():
             raise ProjectError(f"expected a project folder, got a file: {root}")
         path = root / SETTINGS_FILE

@@ -136,7 +136,8 @@ class AngleTable:
         Raises
         ------
         MissingPackageError
-            xarray is not installed (``pip install 'bendtrack[xarray]'``).
+            xarray is not installed (``.venv/bin/pip install '.[xarray]'`` in the copy
+            of the repository).
 
         Examples
         --------
@@ -188,7 +189,8 @@ class AngleTable:
         Raises
         ------
         MissingPackageError
-            pynwb or ndx-pose is not installed (``pip install 'bendtrack[nwb]'``).
+            pynwb or ndx-pose is not installed (``.venv/bin/pip install '.[nwb]'`` in the
+            copy of the repository).
         ResultsError
             The file cannot be written.
         """

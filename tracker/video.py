@@ -291,6 +291,11 @@ class Video:
         self.complete = False
         self.warnings.append(warning)
 
+    def _cut(self, warning: str) -> None:
+        """Say first that frames are missing: what else is said mostly follows from it."""
+        self.complete = False
+        self.warnings.insert(len(self._standing_warnings), warning)
+
     def _doubt_times(self, times: FloatArray) -> None:
         """Count frames as damaged whose times are not in the order of frames: a wrong time is a wrong row."""
         if len(times) > 1 and np.any(np.diff(times) < 0):
@@ -317,19 +322,20 @@ class Video:
             # MP4: what lies before an edit list is counted, but has no rows.
             counts = (n_found, n_found + found.n_hidden)
             if self.claimed_frames not in counts and found.n_indexed not in counts:
-                verdict = (
-                    "it is cut short or damaged" if n_found < self.claimed_frames else "its header is wrong"
-                )
-                self._incomplete(
-                    f"the file claims {self.claimed_frames} frames, {n_found} were found: {verdict}"
-                )
+                if n_found < self.claimed_frames:
+                    self._cut(
+                        f"cut short or damaged: {n_found} of the {self.claimed_frames} frames of its header"
+                    )
+                else:
+                    self._incomplete(
+                        f"its header is wrong: it says {self.claimed_frames} frames, {n_found} were found"
+                    )
         # Headers give the length from the first frame, or from the file's own zero.
         elif (self._claimed_duration_s or 0.0) - end_s - max(0.0, found.start_s) > max(
             0.1, _PAUSE_INTERVALS * usual_s
         ):
-            self._incomplete(
-                f"the video ends at {end_s:.3f} s, its header says {self._claimed_duration_s:.3f} s: "
-                "it is cut short"
+            self._cut(
+                f"cut short: it ends at {end_s:.3f} s, its header says {self._claimed_duration_s:.3f} s"
             )
         n_backward = int(np.sum(steps <= 0))
         if n_backward:

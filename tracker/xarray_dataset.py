@@ -14,7 +14,7 @@ import numpy as np
 
 from .angle import AngleDefinition
 from .errors import AngleError, ResultsError
-from .extras import needed
+from .extras import install_command, needed
 from .results import AngleTable, json_ready
 from .types import FloatArray
 
@@ -52,7 +52,7 @@ def to_dataset(table: AngleTable) -> xarray.Dataset:
     MissingPackageError
         xarray is not installed.
     """
-    with needed("AngleTable.to_xarray()", ("xarray",), "pip install 'bendtrack[xarray]'"):
+    with needed("AngleTable.to_xarray()", ("xarray",), install_command("xarray")):
         import xarray
 
     attributes: dict[str, Any] = {

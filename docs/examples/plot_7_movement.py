@@ -5,7 +5,7 @@ Into movement and back
 `movement <https://movement.neuroinformatics.dev>`_ analyses poses over time. ``AngleTable.to_xarray`` gives
 its dataset, with the bending angle next to the poses; ``AngleTable.from_xarray`` takes it back.
 
-Both need an extra: ``pip install 'bendtrack[movement]'``.
+Both need an extra, installed from the copy of the repository: ``.venv/bin/pip install '.[movement]'``.
 """
 
 # %%

@@ -99,7 +99,7 @@ def _write_h5(path: Path, rows: list[LabelRow], project: Project, video: str) ->
         import tables  # noqa: F401
     except ImportError:
         return (
-            "PyTables is not installed (bendtrack[dlc-h5]), so no .h5 labels were written: "
+            "PyTables is not installed (the extra dlc-h5), so no .h5 labels were written: "
             "run deeplabcut.convertcsv2h5(config, userfeedback=False) before training there"
         )
     import pandas as pd

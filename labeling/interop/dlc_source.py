@@ -50,7 +50,7 @@ def open_dlc(path: str | Path) -> Source:
         return _checked(Source(path, table.bodyparts, None, tuple(videos)))
     if not path.is_dir():
         raise LabelError(
-            f"expected a DeepLabCut project or a labels folder, got a path where nothing is: {path}"
+            f"expected a DeepLabCut project or a labels folder, got no such file or folder: {path}"
         )
     config = _read_config(path / "config.yaml")
     scorer = config.get("scorer")

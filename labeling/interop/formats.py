@@ -47,7 +47,7 @@ def open_labels(
     """
     path = Path(path)
     if not path.exists():
-        raise LabelError(f"expected labels to import, got a path where nothing is: {path}")
+        raise LabelError(f"expected labels to import, got no such file or folder: {path}")
     if images is not None and not Path(images).is_dir():
         raise LabelError(f"expected a folder of images, got {images}")
     label_format = _known(label_format) if label_format is not None else detect_format(path)

@@ -1,4 +1,4 @@
-"""Importing and exporting SLEAP's .slp labels with sleap-io (the extra bendtrack[sleap]).
+"""Importing and exporting SLEAP's .slp labels with sleap-io (the extra `sleap`).
 
 sleap-io keeps float64 positions, reads every version of the format, and loads in a tenth of a second. It is an extra
 because it takes 280 MB with its dependencies. The HDF5 is not read here directly.
@@ -25,6 +25,7 @@ import numpy as np
 
 from ...tracker.atomic import atomic_path, remove_leftovers
 from ...tracker.errors import LabelError, reason
+from ...tracker.extras import install_command
 from ...tracker.hdf5_files import open_hdf5
 from ...tracker.links import make_folder
 from ...tracker.project import Project
@@ -43,7 +44,7 @@ def _sleap_io(path: Path) -> ModuleType:
         import sleap_io
     except ImportError as error:
         raise LabelError(
-            f"{path}: expected sleap-io for SLEAP's files, got none: install bendtrack[sleap]"
+            f"{path}: expected sleap-io for SLEAP's files, got none: {install_command('sleap')}"
         ) from error
     return sleap_io
 
@@ -277,7 +278,7 @@ def export_sleap(project: Project, out: str | Path, *, videos: Sequence[str | Pa
     files = by_stem(videos)
     for file in files.values():
         if not file.is_file():
-            raise LabelError(f"expected a video, got a path where no file is: {file}")
+            raise LabelError(f"expected a video, got no such file: {file}")
     by_reference = bool(files) and _all_have_videos(labelled, files, report)
 
     skeleton = sleap_io.Skeleton(

@@ -54,6 +54,8 @@ export function makeActions({ project, list, open, queue, frameNavigator, view, 
         const xy = view.clamped([x + dx * px, y + dy * px]);
         open.set({ [name]: xy }, `nudge ${name}`);
         view.reveal(xy);
+        const moved = Math.hypot(xy[0] - x, xy[1] - y);
+        showMessage(moved ? `${name} moved by ${Number(moved.toFixed(2))} px. Z undoes it.` : `${name} is at the edge of the image.`);
       } else {
         const [x, y] = crosshair();
         setCursor(view.clamped([x + dx * px, y + dy * px]));

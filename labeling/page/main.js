@@ -86,8 +86,8 @@ async function start() {
     const frames = await queue.undisturbed(() => get("/api/frames"));
     list.load(frames);
     const { due } = frames.repeats;
-    byId("repeats-due").hidden = !due;
-    byId("repeats-due").textContent = `${due} to repeat, blind`;
+    byId("repeats-due").hidden = !(due > 0);
+    byId("repeats-due").textContent = due > 0 ? `${due} ${due === 1 ? "frame" : "frames"} to label again, blind` : "";
     return frames;
   }
 

@@ -12,6 +12,14 @@ const DEFINITION_TEXT = {
   "arc-fit": "turn of the fitted arc",
 };
 
+// Where the points of a new project belong; names of one's own are known to who chose them.
+const PLACES = { base_1: "fixed end, first", base_2: "fixed end, second", tip_1: "moving end, first", tip_2: "moving end, last" };
+
+function placeOf(project, keypoint) {
+  const usual = Object.keys(PLACES);
+  return project.keypoints.length === usual.length && usual.every((name, i) => project.keypoints[i] === name) ? PLACES[keypoint] : null;
+}
+
 export function showAngle(project, open) {
   const definition = definitionOf(project, open.frame);
   byId("angle-name").title = DEFINITION_TEXT[definition.name] ?? "";
@@ -20,8 +28,13 @@ export function showAngle(project, open) {
   byId("angle").textContent = angle === null ? "–" : formatAngle(angle, 2);
   byId("angle").classList.toggle("unknown", angle === null);
   const ends = open.isRepeat ? [null, null] : endVectorsPx(open.points, definition);
-  const lengths = ends.map((length) => (length === null ? "–" : length.toFixed(1)));
-  byId("ends").textContent = open.isRepeat ? "earlier labels are hidden" : `${definition.name} · ends ${lengths[0]} and ${lengths[1]} px`;
+  const lengths = ends.filter((length) => length !== null).map((length) => length.toFixed(1));
+  // Always one line, so that what is below stays where it is.
+  let text = definition.name;
+  if (open.isRepeat) text = "earlier labels are hidden";
+  else if (lengths.length) text = `${lengths.length > 1 ? "ends" : "end"} ${lengths.join(" and ")} px`;
+  byId("ends").textContent = text;
+  byId("ends").title = open.isRepeat ? "" : `${definition.name}: ${DEFINITION_TEXT[definition.name] ?? ""}`;
 }
 
 export function showHint(project, open, aimed) {
@@ -34,8 +47,10 @@ export function showHint(project, open, aimed) {
     const marks = document.createElement("strong");
     marks.append(swatch(project.keypoints.indexOf(target), 15), target);
     parts.push(aimed ? "Enter places " : "Click to place ", marks, aimed ? " here" : "");
+    const place = placeOf(project, target);
+    if (place) parts.push(`: ${place}`);
   } else if (open.isRepeat) parts.push("All placed. Enter saves and goes on.");
-  else parts.push(`All points are set. ${project.can_finish ? "Measure goes on." : "N goes to the next frame to label."}`);
+  else parts.push(`All points are set. ${project.can_finish ? "Measure goes on." : "N: next to label."}`);
   const text = parts.map((part) => part.textContent ?? part).join("");
   if (hint.dataset.text === text) return;
   hint.dataset.text = text;

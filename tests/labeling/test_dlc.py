@@ -275,7 +275,7 @@ def test_a_config_that_cannot_be_says_why(source: Path, project: Project, text: 
 
 
 def test_sources_without_labels(source: Path, project: Project, tmp_path: Path) -> None:
-    with pytest.raises(LabelError, match="got a path where nothing is"):
+    with pytest.raises(LabelError, match="got no such file or folder"):
         import_dlc(tmp_path / "nowhere", project)
     (source / "labeled-data" / "v" / "CollectedData_Ana.csv").unlink()
     with pytest.raises(LabelError, match=r"expected labels .*, got none"):

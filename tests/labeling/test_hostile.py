@@ -91,6 +91,38 @@ class TestWhoIsLetIn:
         refused(page("GET", f"/?{query}", Cookie=None), 403)
 
     @pytest.mark.parametrize(
+        ("path", "status", "words"),
+        [
+            ("/", 401, "This page needs a new address"),
+            ("/?token=guess", 403, "This address was used already"),
+            ("/?token=a&token=b", 403, "This address was used already"),
+        ],
+    )
+    def test_a_browser_is_told_what_to_do_and_nothing_else(self, hostile_study, path, status, words) -> None:
+        study, page = hostile_study
+        answer = page("GET", path, Cookie=None, X_Bendtrack_Auth=None, Accept="text/html,*/*;q=0.8")
+        assert answer.status == status
+        text = answer.body.decode()
+        assert words in text
+        assert "run <code>bendtrack label</code> again" in text
+        assert "default-src 'self'" in answer.headers["content-security-policy"]
+        assert answer.headers["content-type"].startswith("text/html")
+        assert (answer.headers["cache-control"], "set-cookie" in answer.headers) == ("no-store", False)
+        # The same for everyone: nothing of the request or the project is in it.
+        for secret in ("guess", study.root.name, page.cookie, page.key, "token"):
+            assert secret not in text
+
+    def test_only_the_page_itself_is_answered_in_words(self, hostile_study) -> None:
+        study, page = hostile_study
+        html = "text/html"
+        refused(page("GET", "/api/frames", Cookie=None, Accept=html), 401)
+        refused(page("GET", "/page/main.js", Cookie=None, Accept=html), 401)
+        refused(page("GET", "/", Host="evil.example", Accept=html), 403)
+        refused(page("GET", "/?token=guess", Cookie=None, Origin="http://evil.example", Accept=html), 403)
+        refused(page("PUT", study.address(0), an_edit(page, study), Cookie=None, Accept=html), 401)
+        refused(page("HEAD", "/?token=guess", Cookie=None, Accept=html), 403)
+
+    @pytest.mark.parametrize(
         "host",
         ["evil.example", "127.0.0.1", "127.0.0.1:1", "localhost.evil.example:{port}", "[::1]:{port}", ""],
     )

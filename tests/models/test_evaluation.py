@@ -13,7 +13,7 @@ import pytest
 
 from bendtrack.models.cross_validation import cross_validate, fold_of_each
 from bendtrack.models.evaluation import Evaluation, write_evaluation
-from bendtrack.models.figures import _learning_curve, write_figures
+from bendtrack.models.figures import _errors, _learning_curve, write_figures
 from bendtrack.models.training.settings import TrainingSettings
 from bendtrack.tracker.angle import AngleDefinition
 from bendtrack.tracker.errors import TrainingError
@@ -51,6 +51,8 @@ def test_statistics_are_those_of_the_known_error(
     assert summary["per_actuator"]["a"]["error_px"]["n"] + summary["per_actuator"]["b"]["error_px"]["n"] == 31
     assert summary["end_vector_px"] == pytest.approx(24.0, abs=1e-3)
     assert summary["floor_for_1px_labels_deg"] == pytest.approx(np.rad2deg(2 / (5 * 24)), abs=1e-3)
+    # A frame that is held out was clicked once: n = 1.
+    assert summary["one_label_of_1px_deg"] == pytest.approx(np.rad2deg(2 / 24), abs=1e-3)
 
 
 def test_files_and_figures_are_written(
@@ -83,6 +85,31 @@ def test_the_learning_curve_has_plain_numbers_on_its_axis(losses: tuple[float, .
         assert len(labels) >= 2
         assert all(re.fullmatch(r"[0-9.]+", label) for label in labels), labels  # 1.42, and no 1.425 x 10^0
         assert not [tick for tick in axes.get_yticklabels(minor=True) if tick.get_text()]
+
+
+def test_the_learning_curve_has_whole_steps_and_is_not_drawn_from_two_points() -> None:
+    rows = [{"step": step, "loss": 1 / step, "held_out_px": 3 / step} for step in (1, 2, 3)]
+    figure = _learning_curve(rows)
+    figure.canvas.draw()
+    for axes in figure.axes:
+        assert all(tick == round(tick) for tick in axes.get_xticks())
+        assert len(axes.lines) == 1
+    for few in (rows[:1], rows[:2]):
+        for axes in _learning_curve(few).axes:
+            assert len(axes.lines) == 0
+            assert "too few for a curve" in axes.texts[0].get_text()
+
+
+@pytest.mark.parametrize(("n", "style"), [(3, ("None", "o")), (12, ("-", "None"))])
+def test_few_errors_are_dots(
+    make_frames: MakeFrames, definition: AngleDefinition, n: int, style: tuple[str, str]
+) -> None:
+    figure = _errors(off_by(make_frames(np.linspace(0, 150, n)), np.full((4, 2), 1.0), definition))
+    for axes in figure.axes:
+        for line in axes.lines:
+            assert (line.get_linestyle(), line.get_marker()) == style
+            # Steps begin at (0, 0); each dot is a frame.
+            assert len(line.get_xdata()) == n + (style[1] == "None")
 
 
 def test_actuators_are_spread_evenly_over_folds() -> None:

@@ -152,5 +152,5 @@ def test_count_claimed_too_large_is_said(tmp_path, film, arm_images):
     video = Video(path)
     assert video.claimed_frames == 90
     assert len(list(video)) == FRAMES
-    assert video.warnings == ["the file claims 90 frames, 60 were found: it is cut short or damaged"]
+    assert video.warnings == ["cut short or damaged: 60 of the 90 frames of its header"]
     assert not video.complete

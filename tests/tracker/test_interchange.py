@@ -150,5 +150,5 @@ def test_without_the_extra_one_line_says_which(
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)  # as if it were not installed
     arguments = [tmp_path / "a.nwb"] if method == "to_nwb" else []
-    with pytest.raises(MissingPackageError, match=rf"needs {package}.*pip install 'bendtrack\[{extra}\]'"):
+    with pytest.raises(MissingPackageError, match=rf"needs {package}.*pip install '\.\[{extra}\]'"):
         getattr(table_at(EVEN_S), method)(*arguments)

@@ -138,7 +138,7 @@ def test_a_mistake_in_the_file_gets_one_line(tmp_path: Path, text: str, message:
 
 
 def test_what_is_not_a_project_says_what_it_is(tmp_path: Path) -> None:
-    with pytest.raises(ProjectError, match="got a path where nothing is"):
+    with pytest.raises(ProjectError, match="got no such file or folder"):
         Project.open(tmp_path / "nowhere")
     (tmp_path / "file").touch()
     with pytest.raises(ProjectError, match="got a file"):

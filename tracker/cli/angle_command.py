@@ -61,7 +61,7 @@ def angle(
     whole video. The label is kept in FOLDER/labels, which is a project: more videos and labels can follow.
     """
     from ...measuring import measure_each, measure_labelled, project_to_label
-    from ..batch import listed_videos
+    from ..batch import listed_videos, unreadable
     from .reporter import ConsoleReporter
 
     model = model or network
@@ -69,8 +69,10 @@ def angle(
         raise typer.BadParameter("--label trains a network of its own: leave out --model and --quick")
     if no_browser and not label:
         raise typer.BadParameter("--no-browser belongs to --label")
+    paths = listed_videos(videos)
+    if failed := unreadable(paths):
+        show_outcomes(failed)
     if label:
-        paths = listed_videos(videos)
         project = project_to_label(paths, out, reporter=ConsoleReporter())
         label_first(project.folder, no_browser)
         show_outcomes(
@@ -89,7 +91,7 @@ def angle(
         return
     show_outcomes(
         measure_each(
-            listed_videos(videos),
+            paths,
             out,
             model=model,
             adapt=not quick,

@@ -15,6 +15,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from ..errors import BendtrackError
 from . import console
+from .wrong_use import USAGE_ERROR, WrongUse, in_one_line, is_help
 
 INTERRUPTED = 130
 _ANYWHERE = ("--quiet", "--debug")
@@ -33,6 +34,17 @@ _NEEDS_TORCH = ("torch", "torchvision", "nncf")
 
 class _Group(TyperGroup):
     """Turns the errors that are a user's to mend into one line and an exit status, for every command."""
+
+    def make_context(self, info_name: str | None, args: list[str], *rest: Any, **more: Any) -> Any:
+        """Take the words before the command's name apart; what is wrong with them is one line."""
+        given = list(args)
+        try:
+            return super().make_context(info_name, args, *rest, **more)
+        except USAGE_ERROR as error:
+            if is_help(error):
+                raise
+            console.complain(in_one_line(error, given))
+            raise typer.Exit(BendtrackError.exit_status) from None
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """The global switches count wherever they stand, before or after the command's name."""
@@ -69,7 +81,14 @@ class _Group(TyperGroup):
             missing = (error.name or "").partition(".")[0]
             if missing not in _NEEDS_TORCH:
                 raise
-            _tell(error, f"this needs {missing}, which is not installed: pip install bendtrack")
+            from ..extras import install_command
+
+            _tell(error, f"this needs {missing}, which is not installed: {install_command()}")
+            raise typer.Exit(BendtrackError.exit_status) from None
+        except USAGE_ERROR as error:
+            if is_help(error):
+                raise
+            _tell(error, in_one_line(error))
             raise typer.Exit(BendtrackError.exit_status) from None
         except (BendtrackError, OSError) as error:
             _tell(error, _one_line(error))
@@ -78,6 +97,22 @@ class _Group(TyperGroup):
 
 class Command(TyperCommand):
     """A command whose help calls arguments what people write, without types and braces."""
+
+    def make_context(self, info_name: str | None, args: list[str], *rest: Any, **more: Any) -> Any:
+        """Take the command's words apart.
+
+        Raises
+        ------
+        WrongUse
+            Some word is not what the command expects.
+        """
+        given = list(args)
+        try:
+            return super().make_context(info_name, args, *rest, **more)
+        except USAGE_ERROR as error:
+            if is_help(error):
+                raise
+            raise WrongUse(in_one_line(error, given, f"bendtrack {info_name}")) from error
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """[OPTIONS] and the arguments, called as in the help below."""

@@ -15,7 +15,7 @@ from . import console
 if TYPE_CHECKING:
     from ..results import AngleTable
 
-_SAMPLE = ("video.mp4", "pressure.csv", "labels.csv", "truth.csv", "README.md")
+_SAMPLE = ("video.mp4", "pressure.csv", "labels.csv", "truth.csv", "trial.json", "README.md")
 _LABEL_NOISE_PX = 1.0
 _MAX_MINUTES = 3.5
 """For the training on a slow machine; the sample's thirty labels need about two on two cores."""
@@ -66,7 +66,7 @@ def demo(
     show_outcomes(project.track_each([video], model=network.name, overlay=True))
 
     table = read_results(folder.results_dir / "video.h5")
-    console.say(f"\n4. Beside the truth ({time.monotonic() - begun:.0f} s in all)")
+    console.say(f"\n4. Next to the truth ({time.monotonic() - begun:.0f} s in all)")
     _compare(table, trial / "truth.csv", network)
     results = folder.results_dir
     console.show(
@@ -130,15 +130,16 @@ def _compare(table: AngleTable, truth_path: Path, network: Path) -> None:
     assert table.definition is not None
     columns = [f"{keypoint}_{axis}" for keypoint in table.keypoints for axis in "xy"]
     exact = truth[columns].to_numpy().reshape(len(truth), -1, 2)
+    trained = len(read_metadata(network).training["trained_on"])
     floor = label_noise_floor_deg(
         _LABEL_NOISE_PX,
-        len(read_metadata(network).training["trained_on"]),
+        trained,
         end_vector_px(exact, table.keypoints, table.definition),
     )
     angle = truth["angle_deg"]
     console.show(
         f"angle    {angle.min():.0f} to {angle.max():.0f}° in {len(table)} frames; RMS error {rms:.2f}°,"
         f" {int((~known).sum())} frames without an angle\n"
-        f"         (label-noise floor {floor:.2f}°: the labels are {_LABEL_NOISE_PX:g} px off,"
-        " as a steady hand's are)"
+        f"         (label-noise floor {floor:.2f}°, what label noise alone allows: {trained} labels train, each"
+        f" {_LABEL_NOISE_PX:g} px off, as a steady hand's are)"
     )

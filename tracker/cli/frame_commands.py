@@ -99,8 +99,14 @@ def check(project: ProjectArgument) -> None:
     for finding in report.findings:
         console.show(f"{finding.image_path}: {finding.problem}: {finding.message}  {finding.link}")
     count = len(report.findings)
+    if count:
+        console.say(
+            f"To open one: start {console.command('label', project)}, and put what begins with # behind the page's"
+            " address (http://127.0.0.1:PORT/#...)"
+        )
     console.say(
-        f"{report.labelled} labelled frames: {f'{count} to look at' if count else 'nothing to look at'}"
+        f"{report.labelled} labelled frames with {report.points} points:"
+        f" {f'{count} to look at' if count else 'nothing to look at'}"
     )
     if count:
         raise typer.Exit(1)

@@ -172,8 +172,10 @@ def show_evaluation(evaluation: Evaluation) -> None:
     if length is None or floor is None:
         return
     console.show(
-        f"The points of an end are L = {length:.0f} px apart: with {summary['n_trained']} labels of 1 px error"
-        f" the angle can be known to {floor:.2f}° (label-noise floor)."
+        f"The points of an end are L = {length:.0f} px apart. One label of 1 px error is then itself"
+        f" {summary['one_label_of_1px_deg']:.1f}° off (2 sigma / L rad), and each frame here is judged by one label:"
+        " an error of about this size is no fault of the network.\n"
+        f"Label noise alone allows {floor:.2f}° (label-noise floor of {summary['n_trained']} labels of 1 px error)."
     )
     if length < _SHORT_END_PX:
         console.show(

@@ -51,6 +51,13 @@ def analyze(
         _analyse(study, out)
 
 
+def _next(folder: Path) -> str:
+    """What to call with a folder, where a study file was expected."""
+    if (folder / _STUDY_FILE).is_file():
+        return f"Its study file: {console.command('analyze', folder / _STUDY_FILE)}"
+    return f"{console.command('analyze', '--init', folder)} writes a first {_STUDY_FILE} into it"
+
+
 def _write_first(folder: Path) -> None:
     from ..atomic import atomic_write_text, remove_leftovers
     from ..study.first_study import first_study_file
@@ -58,7 +65,10 @@ def _write_first(folder: Path) -> None:
 
     path = folder / _STUDY_FILE
     if path.exists():
-        raise StudyError(f"expected a folder without {_STUDY_FILE}, got one where it is: {folder}")
+        raise StudyError(
+            f"expected a folder without {_STUDY_FILE}, got one where it is: {folder}."
+            f" {console.command('analyze', path)} analyses it"
+        )
     text = first_study_file(folder)
     remove_leftovers(path.parent, path.stem)
     atomic_write_text(path, text)
@@ -76,6 +86,8 @@ def _analyse(path: Path, out: Path | None) -> None:
     from ..study.study_file import read_study
     from .reporter import ConsoleReporter
 
+    if path.is_dir():
+        raise StudyError(f"expected a study file, got a folder: {path}. {_next(path)}")
     folder = out or read_study(path).root / f"{path.stem}-report"
     make_folder(folder)  # now, not after a minute
     analysed = analyse_file(path, ConsoleReporter())

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from .number_text import plain_number
+from .number_text import counted, plain_number
 from .paper_tables import best_comparisons, interval_of, percent_of
 
 if TYPE_CHECKING:
@@ -111,8 +111,8 @@ def _control(results: StudyResults) -> list[str]:
         return []
     return [
         f"The pressure followed its reference with an RMSE of {plain_number(known['rmse_kpa'].max(), 2)} kPa or less, "
-        f"{plain_number(100 * known['nrmse'].max(), 1)} % of its peak-to-peak or less, in all {len(known)} trials "
-        f"that have one."
+        f"{plain_number(100 * known['nrmse'].max(), 1)} % of its peak-to-peak or less, in "
+        + (f"all {len(known)} trials that have one." if len(known) > 1 else "the trial that has one.")
     ]
 
 
@@ -133,7 +133,8 @@ def _trust(results: StudyResults) -> list[str]:
         found.append(f"No hysteresis ratio could be given for {_listed(list(lost))}; the warnings say why.")
     if len(results.warnings):
         found.append(
-            f"{len(results.warnings)} warnings in {results.warnings['trial'].nunique()} trials: see the trials below."
+            f"{counted(len(results.warnings), 'warning')} in"
+            f" {counted(results.warnings['trial'].nunique(), 'trial')}: see the trials below."
         )
     return found
 

@@ -72,3 +72,26 @@ def with_interval(value: float, low: float, high: float, decimals: int) -> str:
     while half > 0 and float(f"{half:.{decimals}f}") == 0:
         decimals += 1
     return f"{plain_number(value, decimals)}{_PLUS_MINUS}{plain_number(half, decimals)}"
+
+
+def counted(number: int, thing: str) -> str:
+    """A number of things, in the singular for one.
+
+    Parameters
+    ----------
+    number : int
+        How many.
+    thing : str
+        What, in the singular, with an s in the plural.
+
+    Returns
+    -------
+    str
+        With thin spaces between thousands.
+
+    Examples
+    --------
+    >>> counted(1, "trial"), counted(2, "trial")
+    ('1 trial', '2 trials')
+    """
+    return f"{number:,} {thing}{'' if number == 1 else 's'}".replace(",", "\u202f")

@@ -29,7 +29,7 @@ from .analysis import StudyResults
 from .findings import main_findings
 from .latex import latex_table
 from .methods import DEFINITIONS, methods_text
-from .number_text import MINUS, plain_number
+from .number_text import MINUS, counted, plain_number
 from .paper_tables import PaperTable, interval_of, paper_tables, with_unit
 from .plots.figure_set import WrittenFigure, start_trial_sheets, write_study_figures
 from .plots.styles import design_styles
@@ -195,18 +195,14 @@ def _figure_html(figure: WrittenFigure, number: str) -> str:
 
 def _subtitle(results: StudyResults, trials: Sequence[TrialData]) -> str:
     counts = {kind: sum(trial.kind is kind for trial in trials) for kind in Kind}
-    parts = [_counted(len({trial.design for trial in trials}), "design")]
+    parts = [counted(len({trial.design for trial in trials}), "design")]
     if counts[Kind.DYNAMIC]:
         used = int(results.cycles["used"].sum())
-        parts.append(f"{_counted(counts[Kind.DYNAMIC], 'dynamic trial')} with {_counted(used, 'cycle')} used")
+        parts.append(f"{counted(counts[Kind.DYNAMIC], 'dynamic trial')} with {counted(used, 'cycle')} used")
     if counts[Kind.STATIC]:
-        parts.append(_counted(counts[Kind.STATIC], "static trial"))
-    parts.append(_counted(sum(len(trial.time_s) for trial in trials), "frame"))
+        parts.append(counted(counts[Kind.STATIC], "static trial"))
+    parts.append(counted(sum(len(trial.time_s) for trial in trials), "frame"))
     return " · ".join(parts)
-
-
-def _counted(number: int, thing: str) -> str:
-    return f"{number:,} {thing}{'' if number == 1 else 's'}".replace(",", "\u202f")
 
 
 def _trials_part(
@@ -246,7 +242,7 @@ def _trials_part(
             and values[trial.name]["hysteresis_ratio"] == values[trial.name]["hysteresis_ratio"]
         ):
             aside.append(f"ratio {interval_of(values[trial.name], 'hysteresis_ratio', 3)}")
-        mark = _counted(len(warnings), "warning") if warnings else ""
+        mark = counted(len(warnings), "warning") if warnings else ""
         by_design.setdefault(trial.design, []).append(
             collapsed_html(trial.name, ", ".join(aside), mark, content, f"trial-{number}")
         )
@@ -254,11 +250,11 @@ def _trials_part(
         Part(labels[design], f"design-{index}", "\n".join(items))
         for index, (design, items) in enumerate(by_design.items(), start=1)
     )
-    count = _counted(len(results.warnings), "warning")
+    count = counted(len(results.warnings), "warning")
     return Part(
         "Trials and warnings",
         "trials",
-        paragraph_html(f"{count} in {_counted(len(warnings_of), 'trial')}. A line opens with a click."),
+        paragraph_html(f"{count} in {counted(len(warnings_of), 'trial')}. A line opens with a click."),
         parts,
     )
 

@@ -163,8 +163,9 @@ def table_html(table: PaperTable, *, rows_in_view: int = 16) -> str:
     tall = " tall" if len(table.rows) > rows_in_view else ""
     wide = " wide" if len(table.columns) > 8 else ""
     note = paragraph_html(table.note, "note") if table.note else ""
+    hint = ' <span class="hint">Scroll sideways for all columns.</span>' if wide else ""
     return (
-        f'<div class="scroll{tall}{wide}" tabindex="0"><table><caption>{escape(table.caption)}</caption>'
+        f'<div class="scroll{tall}{wide}" tabindex="0"><table><caption>{escape(table.caption)}{hint}</caption>'
         f"<thead><tr>{heads}</tr></thead><tbody>{''.join(body)}</tbody></table></div>{note}"
     )
 

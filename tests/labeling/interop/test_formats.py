@@ -111,7 +111,7 @@ def test_a_form_is_recognised(tmp_path: Path, files: dict[str, str], form: str) 
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [
-        ("nowhere", (), "expected labels to import, got a path where nothing is"),
+        ("nowhere", (), "expected labels to import, got no such file or folder"),
         ("task.zip", (), "expected labels, got an archive: unpack it first"),
         ("notes.txt", (), "expected a label file whose first rows begin with scorer"),
         ("video.mp4", (), "expected a CSV file in UTF-8"),
@@ -197,7 +197,7 @@ def test_h5_without_pytables_says_what_to_do(
     monkeypatch.setitem(sys.modules, "tables", None)
     ran = bendtrack("export", rich.root, tmp_path / "out")
     assert ran.status == 0
-    assert "PyTables is not installed (bendtrack[dlc-h5])" in ran.err
+    assert "PyTables is not installed (the extra dlc-h5)" in ran.err
     assert list((tmp_path / "out").rglob("*.h5")) == []
     (tmp_path / "labels.h5").write_bytes(b"\x89HDF\r\n\x1a\n")
     ran = bendtrack("import", tmp_path / "new", tmp_path / "labels.h5")

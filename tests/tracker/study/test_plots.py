@@ -262,6 +262,26 @@ def test_ratio_against_angle_joins_trials_and_marks_the_comparison():
     assert slow.get_xlabel() == "largest bending angle (°)"
 
 
+def test_a_single_trial_is_not_cut_and_designs_without_a_point_are_not_named():
+    dynamic = make_dynamic()
+    dynamic.loc[dynamic["design"] != "original", "hysteresis_ratio"] = np.nan
+    one = dynamic[(dynamic["design"] != "original") | (dynamic.index == dynamic.index[0])]
+    figure = ratio_angle_figure(one, pd.DataFrame(columns=["frequency_hz"]), LOOKS)
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["original"]
+    figure = ratio_angle_figure(dynamic.iloc[:1], pd.DataFrame(columns=["frequency_hz"]), LOOKS)
+    (axes,) = figure.axes
+    assert axes.get_xlim()[1] >= 1.05 * dynamic.iloc[0]["dynamic_response_deg"]
+
+
+def test_the_tip_is_where_it_bends_most_also_where_bending_is_negative():
+    dynamic = make_dynamic().iloc[:1]
+    loop = ellipse(50)
+    loop[:, 1] *= -1
+    figure = leaf_grid_figure(dynamic, {dynamic["trial"].iloc[0]: [loop] * 3}, LOOKS)
+    (tip,) = figure.axes[0].lines
+    assert tip.get_ydata()[0] == pytest.approx(-50, abs=0.5)
+
+
 def test_static_curves_and_what_is_left():
     model_kpa, model_deg = np.array([0.0, 25.0, 50.0]), np.array([0.0, 30.0, 100.0])
     trial = make_trial(kind=Kind.STATIC, model_pressure_kpa=model_kpa, model_angle_deg=model_deg)

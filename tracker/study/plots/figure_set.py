@@ -177,9 +177,11 @@ def _dynamic_figures(results: StudyResults, styles: dict[str, DesignStyle]) -> _
     if len(measured.dropna(subset=["hysteresis_ratio", "frequency_hz"])):
         caption = (
             "Hysteresis ratio against largest angle; a design's trials are joined by straight lines, whiskers are "
-            f"{100 * results.confidence:g} % intervals. The dashed line is the angle at which designs are compared."
+            f"{100 * results.confidence:g} % intervals."
         )
         comparisons = best_comparisons(results.constant_angle)
+        if len(comparisons):
+            caption += " The dashed line is the angle at which designs are compared."
         yield "ratio_against_angle", caption, False, ratio_angle_figure(measured, comparisons, styles)
 
 

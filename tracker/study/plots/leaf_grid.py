@@ -117,12 +117,13 @@ def _thinned(loop: FloatArray) -> FloatArray:
     rows = np.arange(0, len(loop), step)
     # The largest angle is kept: the tip matters most.
     if np.isfinite(loop[:, 1]).any():
-        rows = np.union1d(rows, np.nanargmax(loop[:, 1]))
+        rows = np.union1d(rows, np.nanargmax(np.abs(loop[:, 1])))
     return loop[rows]
 
 
 def _tip(mean: FloatArray) -> tuple[float, float]:
     if not np.isfinite(mean[:, 1]).any():
         return float("nan"), float("nan")
-    index = int(np.nanargmax(mean[:, 1]))
+    # Of either sign: where bending counts as negative, the largest value is the start, at (0, 0).
+    index = int(np.nanargmax(np.abs(mean[:, 1])))
     return float(mean[index, 0]), float(mean[index, 1])

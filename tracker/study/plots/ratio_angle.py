@@ -15,6 +15,8 @@ from ..number_text import MINUS
 from .page import AXIS_GREY, PAGE_MM, TEXT_GREY, house_style, light_grid, new_figure
 from .styles import DesignStyle
 
+_ROOM = 1.06  # the axis of angles over the largest angle
+
 
 def ratio_angle_figure(
     dynamic: pd.DataFrame, comparisons: pd.DataFrame, styles: Mapping[str, DesignStyle]
@@ -47,12 +49,15 @@ def ratio_angle_figure(
             axes.set_title(f"{frequency:g} Hz", loc="center")
             axes.set_xlabel("largest bending angle (°)")
             light_grid(axes, "both")
-            axes.set_xlim(left=0)
+            # Room on the right for a marker, also where a design has a single trial and all angles lie close together.
+            right = np.nanmax(here[["dynamic_response_deg", "dynamic_response_deg_high"]].to_numpy(float))
+            axes.set_xlim(0, right * _ROOM if right > 0 else None)
         for axes, frequency in zip(grid, frequencies, strict=False):
             for comparison in comparisons[comparisons["frequency_hz"] == frequency].to_dict("records"):
                 _draw_comparison(axes, comparison, styles)
         grid[0].set_ylabel("hysteresis ratio")
-        used = [style for name, style in styles.items() if name in set(dynamic["design"])]
+        drawn = dynamic.dropna(subset=["dynamic_response_deg", "hysteresis_ratio", "frequency_hz"])
+        used = [style for name, style in styles.items() if name in set(drawn["design"])]
         figure.legend(
             handles=[style.handle() for style in used],
             loc="outside lower center",
