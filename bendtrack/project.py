@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
@@ -482,7 +483,7 @@ class Project:
             overlay=overlay,
             force=force,
             counting=self._reporter.counting,
-            sign_of=lambda video: sign_for(self.folder, network, video),
+            sign_of=partial(sign_for, self.folder, network) if self.settings.angle.sign == "auto" else None,
         )
         self._reporter.say(network_line(network))
         yield from track_batch(batch, paths)

@@ -305,16 +305,30 @@ def _propagated(
     """Other frames of the videos with few labels, with the labels propagated to them."""
     from .labeling.video_record import remembered_video
     from .models.adaptation.propagated_frames import few_labels, propagated_frames
+    from .models.networks.initialisation import resolve_init
 
     stems = few_labels(frames)
+    if not stems or resolve_init(settings.init, settings.backbone) in ("random", "imagenet"):
+        return []
     found = {stem: remembered_video(project.labels_dir / stem) for stem in stems}
     videos = {stem: video for stem, video in found.items() if video is not None}
-    if not videos:
-        return []
-    with reporter.counting(f"finding the actuator in {', '.join(videos)}", "steps") as progress:
-        made = propagated_frames(frames, project.keypoints, videos, folder, settings, progress)
-    if made:
-        reporter.say(f"Few frames are labelled: {len(made)} more of {', '.join(videos)} are learnt from")
+    made: list[LabelledFrame] = []
+    if videos:
+        with reporter.counting(f"finding the actuator in {', '.join(videos)}", "steps") as progress:
+            made = propagated_frames(frames, project.keypoints, videos, folder, settings, progress)
+    used = list(dict.fromkeys(frame.video for frame in made))
+    if used:
+        reporter.say(f"Few frames are labelled: {len(made)} more of {', '.join(used)} are learnt from")
+    for stem in stems:
+        if stem not in used:
+            why = (
+                "the actuator is not found in its other frames"
+                if stem in videos
+                else "where its video lies is not known"
+            )
+            reporter.warn(
+                f"{stem}: few frames are labelled, and {why}: only the labelled ones are learnt from; label ten or more"
+            )
     return made
 
 

@@ -52,6 +52,10 @@ SMALL = {
         ],
         "goals: 3 degrees and 95 % found",
     ),
+    "coverage.py": (
+        [*("--known", "--looks", "1", "--labels", "5"), *("--steps", "3", "--frames", "24")],
+        "over the looks; goal: 93 to 97 % in each",
+    ),
     "ablation.py": (
         [*("--looks", "1", "--seeds", "1", "--labels", "5"), *("--steps", "3", "--frames", "12")],
         "without the stage, minus with it",

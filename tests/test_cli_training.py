@@ -317,3 +317,27 @@ def test_every_actuator_has_its_own_sign(bendtrack, project: Project, arm_mirror
     for stored in ({}, {"signs": [1]}, {"signs": {"other": "-"}}):
         network.metadata = replace(network.metadata, training=stored)
         assert sign_for(own, network, Path("mirrored.mp4")) == network.metadata.definition.sign
+
+
+def test_with_few_labels_it_is_said_what_else_is_learnt_from(
+    bendtrack, tmp_path: Path, write_arm_video, arm_in_frame
+) -> None:
+    """Two labelled frames of a drawn arm: the pretrained network finds it in others, but nothing elsewhere."""
+    video = write_arm_video(tmp_path / "arm.mp4")
+    project = Project.create(tmp_path / "study", keypoints=("base_1", "base_2", "tip_1", "tip_2"))
+    assert bendtrack("frames", project.root, video, "--count", 2).status == 0
+    store = LabelStore.of(project)
+    labels = {path.name: arm_in_frame(int(path.stem[3:]), 12) for path in store.images("arm")}
+    store.write("arm", labels)
+    set_training(project, steps=1, batch_frames=1, init='"actuator"')
+    said = bendtrack("train", project.root)
+    assert said.status == 0, said.err
+    assert re.search(r"Few frames are labelled: \d+ more of arm are learnt from", said.out)
+    store.write("arm", {name: (95, 71) - xy for name, xy in labels.items()})
+    said = bendtrack("train", project.root)
+    assert "arm: few frames are labelled, and the actuator is not found in its other frames" in said.err
+    video.rename(tmp_path / "elsewhere.mp4")
+    said = bendtrack("train", project.root)
+    assert "arm: few frames are labelled, and where its video lies is not known" in said.err
+    set_training(project, init='"random"')
+    assert "few frames" not in bendtrack("train", project.root).err

@@ -164,7 +164,8 @@ class Batch:
     definition : AngleDefinition or None
         The angle. None localizes the actuator in each video first, by `localize`.
     sign_of : callable or None
-        From a video file to the sign of its angle; None takes the definition's own for all.
+        From a video file to the sign of its angle as the labels have it; None takes the definition's own for all, which
+        someone chose.
     folder : Path
         Receives the results.
     localize : callable or None
@@ -495,7 +496,7 @@ def _track_one(batch: Batch, video: Path, figures: _Figures) -> VideoOutcome:
     said, complete = table.provenance["warnings"], table.provenance["video"]["complete"]
     warnings += [f"{video}: {warning}" for warning in said] if complete else []
     sound = float((table.flag == "").mean()) if len(table) else 0.0
-    if _bends_backwards(table):
+    if batch.sign_of is not None and _bends_backwards(table):
         warnings.append(
             f"{video}: expected angles above 0 where it bends most, got angles below: if it bends the other way than"
             " the labelled actuator, name it as an actuator of its own in bendtrack.toml and label a frame of it"

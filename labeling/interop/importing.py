@@ -21,6 +21,7 @@ from ...tracker.video import Video, video_stem
 from ..label_table import LabelRow, Point
 from ..notes_file import read_notes, write_notes
 from ..store import IMAGE_SUFFIXES, LabelStore, encoded_size_wh, frame_index, image_size_wh, merge_row
+from ..video_record import remember_video
 from .source import ReadImage, Source, SourceVideo
 
 
@@ -270,6 +271,8 @@ def _extract(
                     report.images += 1
             if count > last:
                 break
+    if (store.labels_dir / video).is_dir():
+        remember_video(store.labels_dir / video, path)
     for name, index in missing.items():
         if name not in sizes:
             reason = f"has {count} frames" if index >= count else "cannot be decoded there"

@@ -193,6 +193,8 @@ def read_propagated(folder: Path, frames: Sequence[LabelledFrame]) -> list[Label
     actuators = {frame.video: frame.actuator for frame in frames}
     try:
         rows = read_json(own / POSITIONS_FILE, BendtrackError)
+        if any(Path(row["image"]).name != row["image"] for row in rows):
+            return []
         return [
             LabelledFrame(
                 row["video"],

@@ -36,7 +36,7 @@ class MirroredPredictor:
             mirrored.likelihood,
             mirrored.covariance * np.array([[1, -1], [-1, 1]]),
         )
-        return average_predictions(plain, flipped_back, AGREEMENT_CROP_PX)
+        return average_predictions(plain, flipped_back)
 
 
 def _halves(both: Detections) -> tuple[Detections, Detections]:
@@ -49,9 +49,9 @@ def _halves(both: Detections) -> tuple[Detections, Detections]:
     return first, second
 
 
-def average_predictions(first: Detections, second: Detections, within_px: float) -> Detections:
-    """The mean of two predictions (N, K) of the same keypoints, or the likelier one where they are further apart."""
-    near = np.linalg.norm(second.xy - first.xy, axis=2) <= within_px
+def average_predictions(first: Detections, second: Detections) -> Detections:
+    """The mean of two predictions (N, K) of the same keypoints, or the likelier one where they are not of one thing."""
+    near = np.linalg.norm(second.xy - first.xy, axis=2) <= AGREEMENT_CROP_PX
     weight = np.where(near, 0.5, first.likelihood >= second.likelihood)
     return Detections(
         weight[..., None] * first.xy + (1 - weight[..., None]) * second.xy,
