@@ -306,5 +306,5 @@ def test_without_sleap_io_it_says_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, "sleap_io", None)
     for attempt in (lambda: open_sleap(tmp_path / "a.slp"), lambda: export_sleap(rich, tmp_path / "a.slp")):
-        with pytest.raises(LabelError, match=r"install bendtrack\[sleap\]"):
+        with pytest.raises(LabelError, match=r"install '\.\[sleap\]'"):
             attempt()
