@@ -37,8 +37,8 @@ def remember_video(folder: Path, video: Path) -> None:
         path = Path(os.path.relpath(video.resolve(), folder.resolve())).as_posix()
     except ValueError:  # another drive of Windows
         path = video.resolve().as_posix()
-    document = {"format": _FORMAT, "path": path}
-    text = json.dumps(document, indent=1, ensure_ascii=False) + "\n"
+    # With escapes, since a name need not be text; such a video is not found again.
+    text = json.dumps({"format": _FORMAT, "path": path}, indent=1) + "\n"
     record = folder / VIDEO_FILE
     # A record that says so already is left as it is, with its time.
     if not (record.is_file() and not record.is_symlink() and record.read_bytes() == text.encode()):
@@ -56,13 +56,15 @@ def remembered_video(folder: Path) -> Path | None:
     Returns
     -------
     Path or None
-        An existing file whose name is the folder's; None where there is none, or the record cannot be read.
+        An existing file whose name is the folder's; None where there is none, or the record cannot be read. A place on
+        another machine is not asked: Windows would sign in there for whoever wrote the record.
     """
     try:
         document = read_json(folder / VIDEO_FILE, LabelError)
-        if document["format"] != _FORMAT:
+        recorded = str(document["path"])
+        if document["format"] != _FORMAT or recorded.replace("\\", "/").startswith("//"):
             return None
-        path = Path(os.path.normpath(folder.resolve() / str(document["path"])))
+        path = Path(os.path.normpath(folder.resolve() / recorded))
         return path if path.is_file() and video_stem(path) == folder.name else None
     except (OSError, LabelError, KeyError, TypeError, ValueError):
         return None
