@@ -34,7 +34,7 @@ class Evaluation:
     keypoints : tuple of K str
     definition : AngleDefinition
     n_trained : int
-        Frames that the network was trained on: the n of the label-noise floor.
+        Labelled frames of one actuator that the network was trained on: the n of the label-noise floor.
     """
 
     frames: Sequence[LabelledFrame]
@@ -127,7 +127,10 @@ def evaluate(
         found.append(checkpoint.detect(image[None]))
         if progress:
             progress(i + 1, len(frames))
-    trained = len(checkpoint.training.get("trained_on", []))
+    # Where the points of one actuator lie, the labels of another do not say.
+    trained = len(checkpoint.training.get("trained_on", [])) // max(
+        1, len(checkpoint.training.get("actuators", []))
+    )
     return Evaluation(frames, concatenated(found), checkpoint.keypoints, checkpoint.definition, trained)
 
 

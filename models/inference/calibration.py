@@ -56,7 +56,7 @@ class Calibration:
     label_sd_px : float
         Standard deviation of a label's error in x and in y, px, from the residuals of the training frames.
     n_labels : int
-        Labels that a keypoint was learnt from.
+        Labels that a keypoint of one actuator was learnt from.
     reference_peak : tuple of float
         For each of K keypoints the median peak in labelled frames; empty where none is known.
     resting_scale : tuple of float
@@ -120,7 +120,11 @@ class Calibration:
 
 
 def calibrate(
-    trained: Detections, trained_labels: FloatArray, held: Detections | None, held_labels: FloatArray | None
+    trained: Detections,
+    trained_labels: FloatArray,
+    held: Detections | None,
+    held_labels: FloatArray | None,
+    actuators: int = 1,
 ) -> Calibration:
     """Calibrate on what the network finds in training frames and in held-out frames.
 
@@ -136,10 +140,12 @@ def calibrate(
         (M, K), in the held-out frames.
     held_labels : ndarray of float, shape (M, K, 2), or None
         Their labels.
+    actuators : int, optional
+        So many share the training frames: where the points of one lie, the labels of another do not say.
     """
     residual = trained.xy - trained_labels
     known = np.logical_not(np.isnan(residual[..., 0]))
-    n = int(max(1, np.median((~np.isnan(trained_labels).any(axis=2)).sum(axis=0))))
+    n = int(max(1, np.median((~np.isnan(trained_labels).any(axis=2)).sum(axis=0)) / actuators))
     label_sd = float(np.sqrt(np.median((residual[known] ** 2).sum(axis=1)) / MEDIAN_CHI2))
     scale = 1.0
     if held is not None and held_labels is not None:

@@ -27,7 +27,13 @@ from ..data.images import frame_id
 from ..data.synthetic import rendered_frames
 from ..denoising.registration import shipped_features
 from ..denoising.targets import TargetDenoiser
-from ..inference.calibration import calibrate, end_correlation, few_label_variance_px2, resting_scale
+from ..inference.calibration import (
+    Calibration,
+    calibrate,
+    end_correlation,
+    few_label_variance_px2,
+    resting_scale,
+)
 from ..inference.coarse_to_fine import concatenated
 from ..inference.crops import CropGeometry
 from ..inference.metadata import later_than
@@ -378,33 +384,8 @@ class _Trainer:
         labels, geometry = self.denoiser.labels, self.denoiser.geometry
         lengths = reference_distances(labels, data.reference, geometry.patch_scale)
         held_out = self._detect(network, data.held_out) if data.held_out else None
-        calibration = calibrate(
-            found, labels, held_out, data.labels[data.held_out] if data.held_out else None
-        )
-        labelled = [i for i in data.trained if not data.frames[i].propagated]
-        if len(labelled) < len(data.trained):
-            # The propagated labels agree with each other: how far the clicks may be off they do not show.
-            calibration = replace(
-                calibration,
-                label_sd_px=math.sqrt(
-                    len(labelled) * few_label_variance_px2(len(labelled), data.end_px(labelled))
-                ),
-                n_labels=len(labelled),
-            )
-        calibration = replace(
-            calibration, resting_scale=resting_scale(found, self.denoiser.resting(found.xy))
-        )
-        if network.aligner is not None:
-            calibrated = calibration.apply(found)
-            calibration = replace(
-                calibration,
-                end_correlation=tuple(
-                    (*end, end_correlation(calibrated, end, turn_sd_rad, calibration.label_variance_px2))
-                    for end, turn_sd_rad in zip(
-                        network.aligner.pairs, network.aligner.turn_sd_rad, strict=True
-                    )
-                ),
-            )
+        actuators = sorted({data.frames[i].actuator for i in data.trained})
+        calibration = self._calibration(network, found, held_out, len(actuators))
         training = {
             "settings": settings.to_dict(),
             "started_from": state.start,
@@ -416,6 +397,7 @@ class _Trainer:
             "trained_on": [frame_id(data.frames[i]) for i in data.trained if not data.frames[i].propagated],
             "propagated": [frame_id(data.frames[i]) for i in data.trained if data.frames[i].propagated],
             "held_out": [frame_id(data.frames[i]) for i in data.held_out],
+            "actuators": actuators,
             "settings_and_labels_sha256": state.identity,
         }
         return Checkpoint(
@@ -428,6 +410,32 @@ class _Trainer:
             calibration=calibration,
             distance_range=tuple((float(low), float(high)) for low, high in lengths),
             training=training,
+        )
+
+    def _calibration(
+        self, network: Cascade, found: Detections, held_out: Detections | None, actuators: int
+    ) -> Calibration:
+        """The calibration of a network, from what it finds in the frames trained on and in those held out."""
+        data = self.data
+        held_labels = data.labels[data.held_out] if data.held_out else None
+        calibration = calibrate(found, self.denoiser.labels, held_out, held_labels, actuators)
+        labelled = [i for i in data.trained if not data.frames[i].propagated]
+        if len(labelled) < len(data.trained):
+            # The propagated labels agree with each other: how far the clicks may be off they do not show.
+            count = max(1, len(labelled) // actuators)
+            variance_px2 = few_label_variance_px2(count, data.end_px(labelled))
+            calibration = replace(calibration, label_sd_px=math.sqrt(count * variance_px2), n_labels=count)
+        resting = resting_scale(found, self.denoiser.resting(found.xy))
+        calibration = replace(calibration, resting_scale=resting)
+        if network.aligner is None:
+            return calibration
+        calibrated, variance_px2 = calibration.apply(found), calibration.label_variance_px2
+        turns = zip(network.aligner.pairs, network.aligner.turn_sd_rad, strict=True)
+        return replace(
+            calibration,
+            end_correlation=tuple(
+                (*end, end_correlation(calibrated, end, sd, variance_px2)) for end, sd in turns
+            ),
         )
 
     def save_state(self) -> None:

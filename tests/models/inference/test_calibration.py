@@ -174,3 +174,10 @@ def test_a_film_in_other_light_has_its_own_peaks() -> None:
     failed[:130, 1] = 0.0
     assert film_scale(failed).tolist() == [1.0, 1.0]
     assert film_scale(np.full((3, 2), np.nan)).tolist() == [1.0, 1.0]
+
+
+def test_the_labels_of_another_actuator_do_not_count() -> None:
+    trained, labels, _ = simulated(54, 0.2, 1.0, 0.2, seed=1)
+    one, two = (calibrate(trained, labels, None, None, actuators) for actuators in (1, 2))
+    assert (one.n_labels, two.n_labels) == (54, 27)
+    assert two.label_variance_px2 == pytest.approx(2 * one.label_variance_px2)
