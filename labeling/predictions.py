@@ -206,10 +206,14 @@ class Predictions:
             return
         detections = detector.detect(np.asarray(image, np.uint8)[None])
         variance = np.trace(detections.covariance[0], axis1=1, axis2=2) / 2
+        # A position outside of the image can be no label: it is no suggestion either.
+        beyond = np.array(image.shape[1::-1]) - 0.5
+        inside = ((detections.xy[0] >= -0.5) & (detections.xy[0] <= beyond)).all(axis=1)
+        xy = np.where(inside[:, None], detections.xy[0], np.nan)
         record = {
             "picture": _key(image_file),
             "found": {
-                name: [*map(_number, detections.xy[0, k]), _number(np.sqrt(variance[k])),
+                name: [*map(_number, xy[k]), _number(np.sqrt(variance[k])),
                        _number(detections.likelihood[0, k])]
                 for k, name in enumerate(detector.keypoints)
             },

@@ -204,7 +204,8 @@ async function start() {
       return;
     }
     hideEmpty();
-    if (list.get(open.frame?.id)) return;
+    // A frame with unsent edits stays open, though its image has gone: the next click is meant for it.
+    if (list.get(open.frame?.id) || queue.latest(open.frame?.id)) return;
     const wanted = [frameNavigator.current, decodeURIComponent(location.hash.slice(1))].find((id) => list.get(id));
     await frameNavigator.go(wanted ?? frames.next ?? list.rows[0].id);
     if (document.activeElement === document.body) byId("stage").focus({ preventScroll: true });

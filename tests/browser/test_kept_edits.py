@@ -73,6 +73,9 @@ def test_a_refused_edit_stays_until_it_is_saved_or_dropped(session, clicked) -> 
     labeller.click(truth[1])
     page.wait_for_selector('#saving[data-state="refused"]')
     expect(page.locator("#banner")).to_contain_text(image)
+    # Also when the list of frames, in which it is no more, comes from the server.
+    page.wait_for_selector(f'[data-id="video/{image}"]', state="detached")
+    assert page.locator("#stage").get_attribute("data-frame") == f"video/{image}"
     # A banner comes at any moment, also while someone clicks: the image stays where it is.
     assert (labeller.view(), page.locator("#stage").bounding_box()) == before
     labeller.click(truth[2])  # on top of the refused one
