@@ -70,8 +70,14 @@ def main() -> None:
     )
     for key, results in rows.items():
         share = 100 * np.array([result.within_95 for result in results])
-        rms = np.sqrt(np.nanmean([result.offset_deg**2 + result.scatter_deg**2 for result in results]))
-        stated = np.sqrt(np.nanmean([result.stated_deg**2 for result in results]))
+        known = [result for result in results if np.isfinite(result.stated_deg)]
+        rms, stated = (
+            float(np.sqrt(np.mean(squares))) if known else float("nan")
+            for squares in (
+                [result.offset_deg**2 + result.scatter_deg**2 for result in known],
+                [result.stated_deg**2 for result in known],
+            )
+        )
         inside = int(((share >= GOAL[0]) & (share <= GOAL[1])).sum())
         print(
             f"{key:>6s}  {share.mean():6.1f}  {share.min():6.1f}  {share.max():7.1f}"
