@@ -13,21 +13,9 @@ normal distribution gives: an offset is one draw a film, so a single film is mos
 from __future__ import annotations
 
 import argparse
-import tempfile
-from pathlib import Path
 
 import numpy as np
-from few_labels import (
-    HELD_OUT,
-    LEAST_SEEN,
-    SIZE_WH,
-    STREAM,
-    TRAINING,
-    Result,
-    drawn_look,
-    filmed,
-    rows_of,
-)
+from few_labels import Result, add_look_arguments, filmed_looks, rows_of
 
 GOAL = (93.0, 97.0)
 
@@ -37,33 +25,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--looks", type=int, default=6)
-    parser.add_argument("--first", type=int, default=0, help="number of the first look")
+    add_look_arguments(parser, frames=120)
     parser.add_argument("--labels", type=int, action="append", help="may be given again; 0, 1, 5, 10 and 30")
-    parser.add_argument("--known", action="store_true", help="looks of the families that are trained on")
-    parser.add_argument("--frames", type=int, default=120)
-    parser.add_argument("--steps", type=int, help="of a training, fewer than usual")
     args = parser.parse_args()
     counts = sorted(args.labels or (0, 1, 5, 10, 30))
-    stream, families = (STREAM + 1, TRAINING) if args.known else (STREAM, HELD_OUT)
     rows: dict[str, list[Result]] = {}
-    index, todo = args.first, args.looks
-    while todo:
-        look = drawn_look(stream, index, size_wh=SIZE_WH, families=families, bend_deg=(0.0, 180.0))
-        with tempfile.TemporaryDirectory(prefix="bendtrack-coverage-") as name:
-            film = filmed(Path(name) / "film.mp4", look, args.frames)
-            index += 1
-            if film.seen.mean() < LEAST_SEEN:
-                continue
-            todo -= 1
-            for _, key, result, _ in rows_of(film, look, counts, ["actuator"], args):
-                rows.setdefault(key, []).append(result)
-                print(
-                    f"look {index - 1:2d} labels {key:>5s}  in the 95 % interval {100 * result.within_95:5.1f} %"
-                    f"  offset {result.offset_deg:+6.2f}  scatter {result.scatter_deg:5.2f}"
-                    f"  stated {result.stated_deg:5.2f} degrees  not flagged {100 * result.sound:5.1f} %",
-                    flush=True,
-                )
+    for index, look, film in filmed_looks(args):
+        for _, key, result, _ in rows_of(film, look, counts, ["actuator"], args):
+            rows.setdefault(key, []).append(result)
+            print(
+                f"look {index:2d} labels {key:>5s}  in the 95 % interval {100 * result.within_95:5.1f} %"
+                f"  offset {result.offset_deg:+6.2f}  scatter {result.scatter_deg:5.2f}"
+                f"  stated {result.stated_deg:5.2f} degrees  not flagged {100 * result.sound:5.1f} %",
+                flush=True,
+            )
     print(
         f"\nover the looks; goal: {GOAL[0]:g} to {GOAL[1]:g} % in each\n"
         "labels  mean %  lowest  highest  looks within the goal  rms error  rms stated, degrees"

@@ -231,50 +231,60 @@ def rows_of(
             yield init, key, result, length
 
 
+def add_look_arguments(parser: argparse.ArgumentParser, frames: int) -> None:
+    """Add the arguments that say which looks are filmed, and how; `frames` by default."""
+    parser.add_argument("--looks", type=int, default=6)
+    parser.add_argument("--first", type=int, default=0, help="number of the first look")
+    parser.add_argument(
+        "--known", action="store_true", help="looks of the families that are trained on: to tune by"
+    )
+    parser.add_argument("--frames", type=int, default=frames)
+    parser.add_argument("--steps", type=int, help="of a training, fewer than usual")
+
+
+def filmed_looks(args: argparse.Namespace) -> Iterator[tuple[int, Look, Film]]:
+    """Number, look and film of as many looks as asked for that show all points often enough; each is announced."""
+    stream, families = (STREAM + 1, TRAINING) if args.known else (STREAM, HELD_OUT)
+    index, todo = args.first, args.looks
+    while todo:
+        look = drawn_look(stream, index, size_wh=SIZE_WH, families=families, bend_deg=(0.0, 180.0))
+        with tempfile.TemporaryDirectory(prefix="bendtrack-looks-") as name:
+            film = filmed(Path(name) / "film.mp4", look, args.frames)
+            seen = float(film.seen.mean())
+            words = ", ".join(vars(look.words).values())
+            print(f"\nlook {index}: {words}; all points in sight in {100 * seen:.0f} %")
+            if seen >= LEAST_SEEN:
+                todo -= 1
+                yield index, look, film
+            index += 1
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--looks", type=int, default=6)
-    parser.add_argument("--first", type=int, default=0, help="number of the first look")
+    add_look_arguments(parser, frames=180)
     parser.add_argument("--labels", type=int, action="append", help="may be given again; 0, 5, 10 and 30")
     parser.add_argument("--init", action="append", help="as train's; may be given again")
-    parser.add_argument(
-        "--known", action="store_true", help="looks of the families that are trained on: to tune by"
-    )
-    parser.add_argument("--frames", type=int, default=180)
-    parser.add_argument("--steps", type=int, help="of a training, fewer than usual")
     parser.add_argument("--figure", type=Path, help="draw the result there (.png or .pdf)")
     args = parser.parse_args()
     counts, starts = sorted(args.labels or (0, 5, 10, 30)), args.init or ["random", "actuator"]
-    stream, families = (STREAM + 1, TRAINING) if args.known else (STREAM, HELD_OUT)
     rows: dict[tuple[str, str], list[tuple[Result, float]]] = {}
-    index, todo = args.first, args.looks
-    while todo:
-        look = drawn_look(stream, index, size_wh=SIZE_WH, families=families, bend_deg=(0.0, 180.0))
-        with tempfile.TemporaryDirectory(prefix="bendtrack-few-labels-") as name:
-            film = filmed(Path(name) / "film.mp4", look, args.frames)
-            seen = float(film.seen.mean())
-            words = ", ".join(vars(look.words).values())
-            print(f"\nlook {index}: {words}; all points in sight in {100 * seen:.0f} %")
-            index += 1
-            if seen < LEAST_SEEN:
-                continue
-            todo -= 1
-            for init, key, result, length in rows_of(film, look, counts, starts, args):
-                # Without labels there is no label noise.
-                labels = max(counts) if key == OTHER_LIGHT else int(key)
-                floor = label_noise_floor_deg(NOISE_PX, labels, length) if labels else float("nan")
-                rows.setdefault((init, key), []).append((result, floor))
-                print(
-                    f"  {Path(init).name:12s} {key:>6s}  L {length:5.1f} px  angle RMSE {result.rmse_deg:7.3f} degrees"
-                    f"  {result.rmse_deg / floor:6.2f} of the floor  {100 * result.found:5.1f} % found"
-                    f"  not flagged {result.sound_deg:7.3f} degrees, {100 * result.sound:5.1f} %"
-                    f"  within one sd {100 * result.within:5.1f} %"
-                    f"  training {result.minutes:.1f} min",
-                    flush=True,
-                )
+    for _, look, film in filmed_looks(args):
+        for init, key, result, length in rows_of(film, look, counts, starts, args):
+            # Without labels there is no label noise.
+            labels = max(counts) if key == OTHER_LIGHT else int(key)
+            floor = label_noise_floor_deg(NOISE_PX, labels, length) if labels else float("nan")
+            rows.setdefault((init, key), []).append((result, floor))
+            print(
+                f"  {Path(init).name:12s} {key:>6s}  L {length:5.1f} px  angle RMSE {result.rmse_deg:7.3f} degrees"
+                f"  {result.rmse_deg / floor:6.2f} of the floor  {100 * result.found:5.1f} % found"
+                f"  not flagged {result.sound_deg:7.3f} degrees, {100 * result.sound:5.1f} %"
+                f"  within one sd {100 * result.within:5.1f} %"
+                f"  training {result.minutes:.1f} min",
+                flush=True,
+            )
     print(
         "\nmedian (lowest to highest) over the looks; goals: 3 degrees and 95 % found without labels, 1.5 of the floor"
         " with, 2 degrees in other light"

@@ -84,18 +84,23 @@ def start_of_training(project: Project) -> str:
     return later_than(max((time for time in times if time is not None), default=None))
 
 
-def _next(project: Project) -> str:
-    """The commands that lead to a network, in the order in which they are needed."""
+def steps_to_labels(project: Project) -> list[str]:
+    """The commands that lead to labels, in the order in which they are needed; none where there are labels.
+
+    Parameters
+    ----------
+    project : tracker.project.Project
+    """
     from .labeling.store import LabelStore
 
     root = shlex.quote(str(project.root))
     store = LabelStore.of(project)
-    steps = [f"`bendtrack train {root}` trains one"]
-    if not store.read():
-        steps.insert(0, f"`bendtrack label {root}` opens the page to label them")
+    steps = []
     if not any(store.images(video) for video in store.videos()):
-        steps.insert(0, f"`bendtrack frames {root} VIDEO...` chooses frames")
-    return ", ".join(steps)
+        steps.append(f"`bendtrack frames {root} VIDEO...` chooses frames")
+    if not store.read():
+        steps.append(f"`bendtrack label {root}` opens the page to label them")
+    return steps
 
 
 def chosen(project: Project, name: str | None, reporter: Reporter = SILENT) -> Path:
@@ -123,7 +128,13 @@ def chosen(project: Project, name: str | None, reporter: Reporter = SILENT) -> P
     if name is None:
         if not networks:
             raise CheckpointError(
-                f"expected a trained network in {project.models_dir}, got none: {_next(project)}"
+                f"expected a trained network in {project.models_dir}, got none: "
+                + ", ".join(
+                    [
+                        *steps_to_labels(project),
+                        f"`bendtrack train {shlex.quote(str(project.root))}` trains one",
+                    ]
+                )
             )
         if len(networks) > 1:
             _say_doubt(networks, reporter)

@@ -304,12 +304,13 @@ def _propagated(
 ) -> list[LabelledFrame]:
     """Other frames of the videos with few labels, with the labels propagated to them."""
     from .labeling.video_record import remembered_video
-    from .models.adaptation.propagated_frames import few_labels, propagated_frames
-    from .models.networks.initialisation import resolve_init
+    from .models.adaptation.propagated_frames import (
+        pretrained_start,
+        propagated_frames,
+        videos_with_few_labels,
+    )
 
-    stems = few_labels(frames)
-    if not stems or resolve_init(settings.init, settings.backbone) in ("random", "imagenet"):
-        return []
+    stems = videos_with_few_labels(frames)
     found = {stem: remembered_video(project.labels_dir / stem) for stem in stems}
     videos = {stem: video for stem, video in found.items() if video is not None}
     made: list[LabelledFrame] = []
@@ -319,16 +320,16 @@ def _propagated(
     used = list(dict.fromkeys(frame.video for frame in made))
     if used:
         reporter.say(f"Few frames are labelled: {len(made)} more of {', '.join(used)} are learnt from")
-    for stem in stems:
-        if stem not in used:
-            why = (
-                "the actuator is not found in its other frames"
-                if stem in videos
-                else "where its video lies is not known"
-            )
-            reporter.warn(
-                f"{stem}: few frames are labelled, and {why}: only the labelled ones are learnt from; label ten or more"
-            )
+    unused = [stem for stem in stems if stem not in used]
+    for stem in unused if unused and pretrained_start(settings) else ():
+        why = (
+            "the actuator is not found in its other frames"
+            if stem in videos
+            else "where its video lies is not known"
+        )
+        reporter.warn(
+            f"{stem}: few frames are labelled, and {why}: only the labelled ones are learnt from; label ten or more"
+        )
     return made
 
 
@@ -513,14 +514,11 @@ def labels_of(project: ProjectFolder, keypoints: tuple[str, ...]) -> list[Labell
     store = LabelStore.of(project)
     frames = store.read()
     if not frames:
-        root = shlex.quote(str(project.root))
-        chosen = any(store.images(video) for video in store.videos())
-        first = "" if chosen else f"`bendtrack frames {root} VIDEO...` chooses frames, "
-        raise LabelError(
-            f"expected labelled frames in {project.labels_dir}, got none: {first}"
-            f"`bendtrack label {root}` opens the page to label them,"
-            f" `bendtrack import {root} SOURCE` takes over labels of another program"
-        )
+        steps = [
+            *model_folders.steps_to_labels(project),
+            f"`bendtrack import {shlex.quote(str(project.root))} SOURCE` takes over labels of another program",
+        ]
+        raise LabelError(f"expected labelled frames in {project.labels_dir}, got none: {', '.join(steps)}")
     return frames
 
 

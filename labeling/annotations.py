@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import stat
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import cached_property
@@ -71,6 +71,27 @@ class VideoFolder:
     images: Mapping[str, ImageFile]
     states: Mapping[str, FrameState]
     repeats: Mapping[str, Mapping[str, Any]]
+
+
+def by_actuator(project: Project, folders: Iterable[VideoFolder]) -> dict[str, list[VideoFolder]]:
+    """Group videos' folders by the actuator that they show.
+
+    Parameters
+    ----------
+    project : Project
+        Which says what a video shows.
+    folders : iterable of VideoFolder
+        Folders of the project.
+
+    Returns
+    -------
+    dict of str to list of VideoFolder
+        By the actuators' names, sorted.
+    """
+    found: dict[str, list[VideoFolder]] = {}
+    for folder in folders:
+        found.setdefault(project.actuator_of(folder.video), []).append(folder)
+    return dict(sorted(found.items()))
 
 
 class Annotations:

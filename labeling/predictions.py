@@ -22,6 +22,7 @@ import numpy as np
 from ..tracker.errors import LabelError
 from ..tracker.json_files import parse_json
 from ..tracker.links import open_own_file
+from ..tracker.measuring import is_outside
 from ..tracker.types import Detector
 from .annotations import ImageFile
 from .frame_state import FrameState
@@ -207,9 +208,8 @@ class Predictions:
         detections = detector.detect(np.asarray(image, np.uint8)[None])
         variance = np.trace(detections.covariance[0], axis1=1, axis2=2) / 2
         # A position outside of the image can be no label: it is no suggestion either.
-        beyond = np.array(image.shape[1::-1]) - 0.5
-        inside = ((detections.xy[0] >= -0.5) & (detections.xy[0] <= beyond)).all(axis=1)
-        xy = np.where(inside[:, None], detections.xy[0], np.nan)
+        outside = is_outside(detections.xy[0], (image.shape[1], image.shape[0]))
+        xy = np.where(outside[:, None], np.nan, detections.xy[0])
         record = {
             "picture": _key(image_file),
             "found": {

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..tracker.angle import AngleDefinition, bending_angle, end_vector_px, label_noise_floor_deg
 from ..tracker.project import Project
-from .annotations import VideoFolder
+from .annotations import VideoFolder, by_actuator
 from .repeatability import Repeatability
 
 # Assumed where no frame was labelled twice: a careful labeller on a sharp image.
@@ -41,19 +41,16 @@ def labels_summary(
         JSON-ready figures, see GET /api/summary in page/API.md. Lengths in px, angles in degrees, None where unknown.
     """
     sigma = repeatability.px if repeatability is not None else ASSUMED_SIGMA_PX
-    by_actuator: dict[str, list[VideoFolder]] = {}
-    for folder in folders:
-        by_actuator.setdefault(project.actuator_of(folder.video), []).append(folder)
     return {
         "actuators": [
             {
                 "name": name,
-                "n_frames": sum(len(folder.states) for folder in by_actuator[name]),
+                "n_frames": sum(len(folder.states) for folder in own),
                 "sigma_px": round(sigma, 3),
                 "sigma_measured": repeatability is not None,
-                **_figures(by_actuator[name], project.keypoints, definition_of(by_actuator[name]), sigma),
+                **_figures(own, project.keypoints, definition_of(own), sigma),
             }
-            for name in sorted(by_actuator)
+            for name, own in by_actuator(project, folders).items()
         ],
         "spread": None if repeatability is None else repeatability.to_json(),
     }

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..tracker.angle import AngleDefinition
 from ..tracker.errors import AngleError
-from .annotations import Annotations, ImageFile, VideoFolder
+from .annotations import Annotations, ImageFile, VideoFolder, by_actuator
 from .edits import Editor
 from .frame_state import FrameState, Progress
 from .images import header_size_wh
@@ -72,6 +72,7 @@ class ViewModels:
         folders = self._annotations.folders()
         definition = self.definition(folders)
         chain = [project.keypoints.index(name) for name in definition.points]
+        groups = by_actuator(project, folders)
         return {
             "name": self._annotations.project.root.resolve().name,
             "scorer": project.settings.scorer,
@@ -81,14 +82,9 @@ class ViewModels:
                 "points": list(definition.points),
                 "sign": definition.sign,
             },
-            "signs": {
-                name: self.definition(
-                    [folder for folder in folders if project.actuator_of(folder.video) == name]
-                ).sign
-                for name in sorted({project.actuator_of(folder.video) for folder in folders})
-            },
+            "signs": {name: self.definition(own).sign for name, own in groups.items()},
             "skeleton": [list(pair) for pair in pairwise(chain)],
-            "actuators": sorted({project.actuator_of(folder.video) for folder in folders}),
+            "actuators": list(groups),
             "model": None if self.predictions is None else self.predictions.name,
             "repeat_share": self._repeat_share,
             "version": version("bendtrack"),

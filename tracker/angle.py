@@ -236,8 +236,24 @@ def sign_from_labels(xy: FloatArray, keypoints: Sequence[str], definition: Angle
             f"angle sign 'auto': expected a labelled frame with all of {_listed(definition.points)}, "
             f"got none among {len(xy)}"
         )
+    return -1 if strongest_bend_deg(angle_deg) < 0 else 1
+
+
+def strongest_bend_deg(angle_deg: FloatArray) -> float:
+    """Median angle of the quarter of the frames that bend most, to whichever side.
+
+    Parameters
+    ----------
+    angle_deg : ndarray of float
+        (T,) degrees, none of them NaN, at least one.
+
+    Returns
+    -------
+    float
+        Degrees.
+    """
     strongest = angle_deg[np.argsort(-np.abs(angle_deg), kind="stable")][: max(1, angle_deg.size // 4)]
-    return -1 if np.median(strongest) < 0 else 1
+    return float(np.median(strongest))
 
 
 def end_vector_px(xy: FloatArray, keypoints: Sequence[str], definition: AngleDefinition) -> float:

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from .angle import AngleDefinition
+from .angle import AngleDefinition, strongest_bend_deg
 from .atomic import remove_leftovers
 from .bookkeeping import choose_stem, is_recorded, is_up_to_date, overlay_of_record, record_file
 from .errors import (
@@ -531,8 +531,7 @@ def _track_one(batch: Batch, video: Path, figures: _Figures) -> VideoOutcome:
 def _bends_backwards(table: AngleTable) -> bool:
     """Whether the frames that bend most bend to the side that counts as negative, by more than a doubtful bit."""
     angle_deg = table.angle_deg[np.isfinite(table.angle_deg) & (table.flag == "")]
-    strongest = angle_deg[np.argsort(-np.abs(angle_deg), kind="stable")][: max(1, angle_deg.size // 4)]
-    return bool(strongest.size and np.median(strongest) < -BACKWARDS_DEG)
+    return bool(angle_deg.size) and strongest_bend_deg(angle_deg) < -BACKWARDS_DEG
 
 
 def _check_not_empty(video: Path) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from .angle import AngleDefinition, bending_angle
 from .errors import AngleError
-from .types import Correlation, Detections, Flag, FloatArray
+from .types import BoolArray, Correlation, Detections, Flag, FloatArray
 
 # DeepLabCut's pcutoff, which users know.
 MIN_LIKELIHOOD = 0.6
@@ -103,7 +103,7 @@ def measure(
         found.xy, keypoints, definition, found.covariance, correlations
     )
     chain = [keypoints.index(point) for point in definition.points]
-    outside = _outside(found.xy[:, chain], size_wh)
+    outside = is_outside(found.xy[:, chain], size_wh).any(axis=1)
     for lost in (coincident, outside):
         angle_deg[lost] = angle_sd_deg[lost] = np.nan
     with np.errstate(invalid="ignore"):
@@ -131,8 +131,21 @@ def _jumped(angle_deg: FloatArray, sd_deg: FloatArray) -> np.ndarray:
     return jumped
 
 
-def _outside(xy: FloatArray, size_wh: tuple[int, int]) -> np.ndarray:
-    """Rows (T,) with one of the points (T, P, 2) outside the frame, which ends half a px beyond centres."""
+def is_outside(xy: FloatArray, size_wh: tuple[int, int]) -> BoolArray:
+    """Which positions lie outside the frame, which ends half a px beyond the centres of its outer pixels.
+
+    Parameters
+    ----------
+    xy : ndarray of float
+        (..., 2) px.
+    size_wh : tuple of (int, int)
+        Width and height of the frame, px.
+
+    Returns
+    -------
+    ndarray of bool
+        (...); False where a position is NaN.
+    """
     with np.errstate(invalid="ignore"):
         outside = (xy < -0.5) | (xy > np.array(size_wh) - 0.5)
-    return np.asarray(outside.any(axis=(1, 2)))
+    return np.asarray(outside.any(axis=-1))

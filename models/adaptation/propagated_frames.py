@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from ...tracker.atomic import atomic_write_bytes, atomic_write_text
+from ...tracker.batch import PROBE_FRAMES
 from ...tracker.errors import BendtrackError, VideoError
 from ...tracker.json_files import read_json
 from ...tracker.links import make_folder
@@ -29,13 +30,10 @@ from ..training.transfer import keypoint_mapping, source_checkpoint
 from .adapt import VideoAdaptation
 from .propagation import MAX_LABELS, PropagatedLabels, propagate_labels
 
-PROBE_FRAMES = 32
-"""Frames of a labelled video in which the actuator is looked for."""
-
 FOLDER, POSITIONS_FILE = "propagated", "positions.json"
 
 
-def few_labels(frames: Sequence[LabelledFrame]) -> list[str]:
+def videos_with_few_labels(frames: Sequence[LabelledFrame]) -> list[str]:
     """Videos of the actuators that have one to four labelled frames.
 
     Parameters
@@ -53,6 +51,30 @@ def few_labels(frames: Sequence[LabelledFrame]) -> list[str]:
     for frame in labelled:
         counts[frame.actuator] = counts.get(frame.actuator, 0) + 1
     return list(dict.fromkeys(f.video for f in labelled if counts[f.actuator] <= MAX_LABELS))
+
+
+def pretrained_start(settings: TrainingSettings) -> tuple[Checkpoint, Path] | None:
+    """The pretrained network that a training starts from.
+
+    Parameters
+    ----------
+    settings : TrainingSettings
+
+    Returns
+    -------
+    tuple of Checkpoint and Path, or None
+        The network and its file; None where the training starts from something else.
+
+    Raises
+    ------
+    WeightsError
+        No network ships with the backbone of the settings.
+    """
+    start = resolve_init(settings.init, settings.backbone)
+    source = source_checkpoint(start, settings.backbone)
+    if source is None or not source.pretrained:
+        return None
+    return source, shipped_network(settings.backbone) if start == "actuator" else Path(start)
 
 
 def propagated_frames(
@@ -94,16 +116,15 @@ def propagated_frames(
     WeightsError
         No network ships with the backbone of the settings.
     """
-    start = resolve_init(settings.init, settings.backbone)
-    source = source_checkpoint(start, settings.backbone)
-    if source is None or not source.pretrained:
+    start = pretrained_start(settings)
+    if start is None:
         return []
-    file = shipped_network(settings.backbone) if start == "actuator" else Path(start)
+    source, file = start
     if kept := read_propagated(folder, frames):
         return kept
     own = folder / FOLDER
     made: list[LabelledFrame] = []
-    for video in few_labels(frames):
+    for video in videos_with_few_labels(frames):
         if video not in videos:
             continue
         labelled = [frame for frame in frames if frame.video == video and not np.isnan(frame.xy).all()]

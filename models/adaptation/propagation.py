@@ -19,7 +19,7 @@ from ..inference.calibration import turn_shrinkage
 from ..inference.coarse_to_fine import CoarseToFineEstimator
 from ..inference.metadata import CheckpointMetadata
 from ..inference.roi import turned
-from ..localization.localize import MAX_SURE_SHARE, MIN_SURE, FitEnds, FitNetwork, better_of
+from ..localization.localize import FitEnds, FitNetwork, fit_where_unsure
 from ..localization.probe_frames import (
     FIXED,
     MOVING,
@@ -101,27 +101,28 @@ def propagate_labels(
         consensus = multi_frame_consensus(frames, source, estimator, known)
     except VideoError:
         return None
+    pseudo = consensus.pseudo_labels(frames, source, estimator)
     if fit_network is not None:
-        pseudo = consensus.pseudo_labels(frames, source, estimator)
-        if pseudo.positive.sum() >= MIN_SURE and pseudo.positive.mean() < MAX_SURE_SHARE:
-            fitted = fit_network(frames, pseudo, consensus.view.region)
-            estimator, consensus = better_of(frames, source, (estimator, consensus), fitted, known)
-    return _as_labelled(consensus, source, estimator, frames, ours, ends, len(keypoints), fit_ends)
+        before = consensus
+        estimator, consensus = fit_where_unsure(
+            frames, source, (estimator, consensus), pseudo, fit_network, known
+        )
+        if consensus is not before:
+            pseudo = consensus.pseudo_labels(frames, source, estimator)
+    return _as_labelled(consensus, pseudo.positive, frames, ours, ends, len(keypoints), fit_ends)
 
 
 def _as_labelled(
     consensus: Consensus,
-    source: CheckpointMetadata,
-    estimator: CoarseToFineEstimator,
+    sure: BoolArray,
     frames: ImageArray,
     ours: FloatArray,
     ends: list[int],
     k: int,
     fit_ends: FitEnds | None,
 ) -> PropagatedLabels | None:
-    """The probe frames of a consensus with our keypoints, from the labels (L, 4, 2) in its first frames."""
+    """The sure probe frames of a consensus with our keypoints, from the labels (L, 4, 2) in its first frames."""
     count = len(ours)
-    sure = consensus.pseudo_labels(frames, source, estimator).positive
     if not sure[count:].any():
         return None
     found = consensus.found.xy

@@ -175,15 +175,17 @@ def find_actuator(
     consensus = _accepted_consensus(probe_frames, metadata, estimator)
     # For a network trained on labels, the labels say where ends lie and how they point.
     zero_shot = metadata.pretrained
+    yields = _base_yields(consensus, probe_frames, metadata, estimator)
     if zero_shot and fit_network is not None:
-        held = not _base_yields(consensus, probe_frames, metadata, estimator)
-        labels = consensus.pseudo_labels(probe_frames, metadata, estimator, base_is_held=held)
-        if labels.positive.sum() >= MIN_SURE and labels.positive.mean() < MAX_SURE_SHARE:
-            fitted = fit_network(probe_frames, labels, consensus.view.region)
-            estimator, consensus = better_of(probe_frames, metadata, (estimator, consensus), fitted)
+        labels = consensus.pseudo_labels(probe_frames, metadata, estimator, base_is_held=not yields)
+        before = consensus
+        estimator, consensus = fit_where_unsure(
+            probe_frames, metadata, (estimator, consensus), labels, fit_network
+        )
+        if consensus is not before:
+            yields = _base_yields(consensus, probe_frames, metadata, estimator)
     inlier, region = consensus.inlier, consensus.view.region
     xy, regressor = consensus.found.xy, estimator.end_regressor
-    yields = _base_yields(consensus, probe_frames, metadata, estimator)
     if zero_shot and fit_ends is not None:
         moves = {"base_moves": True} if yields else {}
         xy, regressor = fit_ends(probe_frames, xy, inlier, region, **moves)
@@ -245,14 +247,37 @@ def _accepted_consensus(
     return consensus
 
 
-def better_of(
+def fit_where_unsure(
     probe_frames: Frames,
     metadata: CheckpointMetadata,
     before: tuple[CoarseToFineEstimator, Consensus],
-    fitted: CoarseToFineEstimator | None,
+    labels: PseudoLabels,
+    fit_network: FitNetwork,
     known: KnownEnds | None = None,
 ) -> tuple[CoarseToFineEstimator, Consensus]:
-    """The fitted estimator and its consensus, or the earlier ones where fewer probe frames agree now."""
+    """Fit a network to the video where it is sure of the actuator in enough frames, but not in nearly all.
+
+    Parameters
+    ----------
+    probe_frames, metadata
+        As `find_actuator`'s.
+    before : tuple of CoarseToFineEstimator and Consensus
+        The network, and what it finds.
+    labels : PseudoLabels
+        Of that consensus.
+    fit_network : callable
+        As `find_actuator`'s.
+    known : KnownEnds, optional
+        As `multi_frame_consensus`'s.
+
+    Returns
+    -------
+    tuple of CoarseToFineEstimator and Consensus
+        Fitted; or `before` where there is nothing to fit, that fails, or fewer probe frames agree then.
+    """
+    if labels.positive.sum() < MIN_SURE or labels.positive.mean() >= MAX_SURE_SHARE:
+        return before
+    fitted = fit_network(probe_frames, labels, before[1].view.region)
     if fitted is None:
         return before
     try:

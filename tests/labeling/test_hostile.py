@@ -98,7 +98,9 @@ class TestWhoIsLetIn:
             ("/?token=a&token=b", 403, "This address was used already"),
         ],
     )
-    def test_a_browser_is_told_what_to_do_and_nothing_else(self, hostile_study, path, status, words) -> None:
+    def test_a_browser_gets_what_to_do_in_words_and_nothing_else(
+        self, hostile_study, path, status, words
+    ) -> None:
         study, page = hostile_study
         answer = page("GET", path, Cookie=None, X_Bendtrack_Auth=None, Accept="text/html,*/*;q=0.8")
         assert answer.status == status

@@ -15,7 +15,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from ..errors import BendtrackError
 from . import console
-from .wrong_use import USAGE_ERROR, WrongUse, in_one_line, is_help
+from .wrong_use import USAGE_ERROR, WrongUse, in_one_line, in_our_words, is_help
 
 INTERRUPTED = 130
 _ANYWHERE = ("--quiet", "--debug")
@@ -37,13 +37,11 @@ class _Group(TyperGroup):
 
     def make_context(self, info_name: str | None, args: list[str], *rest: Any, **more: Any) -> Any:
         """Take the words before the command's name apart; what is wrong with them is one line."""
-        given = list(args)
         try:
-            return super().make_context(info_name, args, *rest, **more)
-        except USAGE_ERROR as error:
-            if is_help(error):
-                raise
-            console.complain(in_one_line(error, given))
+            with in_our_words(args):
+                return super().make_context(info_name, args, *rest, **more)
+        except WrongUse as error:
+            console.complain(str(error))
             raise typer.Exit(BendtrackError.exit_status) from None
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -106,13 +104,8 @@ class Command(TyperCommand):
         WrongUse
             Some word is not what the command expects.
         """
-        given = list(args)
-        try:
+        with in_our_words(args, f"bendtrack {info_name}"):
             return super().make_context(info_name, args, *rest, **more)
-        except USAGE_ERROR as error:
-            if is_help(error):
-                raise
-            raise WrongUse(in_one_line(error, given, f"bendtrack {info_name}")) from error
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """[OPTIONS] and the arguments, called as in the help below."""

@@ -6,7 +6,8 @@ The library that takes arguments apart raises its own errors, in the words of pr
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any
 
@@ -64,6 +65,31 @@ def in_one_line(error: Any, given: Sequence[str] = (), command: str = "bendtrack
     """
     path = error.ctx.command_path if error.ctx is not None else command
     return f"{_problem(error, given, path)} (help: {path} --help)"
+
+
+@contextmanager
+def in_our_words(args: Sequence[str], command: str = "bendtrack") -> Iterator[None]:
+    """Turn the library's errors about arguments into `WrongUse`.
+
+    Parameters
+    ----------
+    args : sequence of str
+        The words that are taken apart; the library may empty the list.
+    command : str
+        As `in_one_line`'s.
+
+    Raises
+    ------
+    WrongUse
+        Some word is not what was expected.
+    """
+    given = list(args)
+    try:
+        yield
+    except USAGE_ERROR as error:
+        if is_help(error):
+            raise
+        raise WrongUse(in_one_line(error, given, command)) from error
 
 
 def _problem(error: Any, given: Sequence[str], path: str) -> str:

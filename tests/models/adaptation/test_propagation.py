@@ -112,8 +112,8 @@ def frame(video: str, actuator: str = "a", xy: float = 1.0, **more: bool) -> Lab
 
 def test_an_actuator_with_five_labels_needs_none() -> None:
     few = [frame("v"), frame("w"), frame("w"), frame("u", xy=np.nan)]
-    assert own.few_labels([*few, *[frame("x", "b")] * 5]) == ["v", "w"]
-    assert own.few_labels([*few, frame("x"), frame("y")]) == []
+    assert own.videos_with_few_labels([*few, *[frame("x", "b")] * 5]) == ["v", "w"]
+    assert own.videos_with_few_labels([*few, frame("x"), frame("y")]) == []
 
 
 def test_frames_that_nobody_labelled_judge_nothing() -> None:
