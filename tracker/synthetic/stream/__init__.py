@@ -21,6 +21,7 @@ has a material, a background, a shape and a clamp that pretraining has not seen.
 from .chain import KEYPOINTS
 from .disturbances import Cable, Disturbances, Hand, Tube
 from .drawing import draw
+from .extras import KINDS, Extras
 from .families import HELD_OUT, TRAINING, Families, Words
 from .look import Look
 from .look_sampling import before_other_background, drawn_look, in_other_light
@@ -29,9 +30,11 @@ from .renderer import Renderer, Sample, inflation_deg
 __all__ = [
     "HELD_OUT",
     "KEYPOINTS",
+    "KINDS",
     "TRAINING",
     "Cable",
     "Disturbances",
+    "Extras",
     "Families",
     "Hand",
     "Look",

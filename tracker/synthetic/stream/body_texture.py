@@ -10,7 +10,9 @@ import cv2
 import numpy as np
 
 from ...types import FloatArray, ImageArray
+from . import finish as finishes
 from .chain import Chain
+from .finish import BARE, Finish
 from .look import Body, Colour, Light, Surface
 from .noise import noise_field
 
@@ -115,25 +117,36 @@ class _Grid:
 
 
 def draw_texture(
-    body: Body, surface: Surface, light: Light, chain: Chain, pressure: float, supersampling: float
+    body: Body,
+    surface: Surface,
+    light: Light,
+    chain: Chain,
+    pressure: float,
+    supersampling: float,
+    finish: Finish = BARE,
 ) -> BodyTexture:
     """Draw the lit body.
 
     Parameters
     ----------
+    body, surface, light : Body, Surface or Light
+        What is drawn, and in which light.
     chain : Chain
         Gives the length and, for the light, the direction at each place.
     pressure : float
         Relative to the full one, swells the chambers.
     supersampling : float
         Texels wanted for a px.
+    finish : Finish, optional
+        What the body has on it.
     """
     rng = np.random.default_rng([body.seed, 2])
-    grid = _grid(body, chain, pressure, supersampling)
+    grid = _grid(body, chain, pressure, supersampling, finish)
     s, v = grid.s, grid.v
     # Distance to the outline, px, positive inside.
     depth = np.minimum((grid.top - v) * grid.half, (v + grid.bottom) * grid.half)
-    depth = np.minimum(depth, np.float32(chain.length_px) - s)
+    end = finishes.ends_px(finish, body, chain, v) if finish.fray else np.float32(chain.length_px)
+    depth = np.minimum(depth, end - s)
     cover = _clipped(depth * np.float32(grid.per_px) + np.float32(0.5))
     rim_px = np.maximum(
         body.rim * np.minimum(grid.half * 0.5 * (grid.top + grid.bottom), grid.half * 1.2), 1.0
@@ -152,10 +165,15 @@ def draw_texture(
         relief += np.float32(surface.roughness) * noise_field(
             rng, grid.shape, 3 if surface.roughness == 0.15 else 12
         )
+    if finish is not BARE:
+        relief = finishes.add_relief(finish, body, chain, s, v, relief)
 
     level, gloss = _lit(relief.astype(np.float32), s, surface, light, chain, grid.per_px)
     tone = level * _tone(body, surface, grid, edge, rng)
     mixes = _mixes(body, surface, chain, grid, thread, rng)
+    if finish is not BARE:
+        gloss = finishes.add_gloss(finish, body, light, chain, s, v, gloss)
+        mixes += finishes.mixes(finish, chain, s, v, grid.per_px)
     see_through = 1 - np.float32(surface.opacity)
     opaque = np.float32(surface.opacity) + see_through * _clipped(edge * 1.2 - 0.5)
     for weight, _ in mixes:
@@ -171,7 +189,7 @@ def draw_texture(
     return BodyTexture(rgba, -hidden_px(body), grid.per_px, grid.per_px * body.half_px)
 
 
-def _grid(body: Body, chain: Chain, pressure: float, supersampling: float) -> _Grid:
+def _grid(body: Body, chain: Chain, pressure: float, supersampling: float, finish: Finish) -> _Grid:
     hidden = hidden_px(body)
     area = (chain.length_px + hidden) * (INNER + OUTER) * body.half_px
     per_px = float(min(supersampling, max(np.sqrt(_MOST_TEXELS / area), 0.8)))
@@ -191,6 +209,8 @@ def _grid(body: Body, chain: Chain, pressure: float, supersampling: float) -> _G
         top, bottom = (
             np.where(s > chain.length_px * (1 - body.cap_share), 1.1, side) for side in (top, bottom)
         )
+    if finish is not BARE:
+        top, bottom = finishes.outline(finish, chain, s, top, bottom)
     corner = max(body.tip_round * float(half[-1]), 0.5)
     closing = np.sqrt(1 - np.square(_clipped((s - chain.length_px + corner) / corner)))
     # Everything from here on has the texture's size: single precision.

@@ -37,6 +37,18 @@ def extent(word: str) -> tuple[float, float]:
     return {"vice": (1.5, 4.1), "clip": (2.4, 1.7), "block": (2.2, 1.7)}.get(word, (2.3, 1.2))
 
 
+def hub(colour: Colour, local: Local, thick_px: float, painter: Painter) -> None:
+    """Draw the middle of a body with two arms, of its own material, where a clamp would be."""
+    rng = painter.rng
+    back, wide, corner = -rng.uniform(1.2, 2.6), rng.uniform(0.7, 1.3), rng.uniform(0.15, 0.5)
+    outline = np.array([[back, -wide], [0, -wide], [0, wide], [back, wide]])
+    # Corners cut twice are round enough at this size.
+    for share in (corner, 0.35):
+        step = share * 0.5 * (np.roll(outline, -1, axis=0) - outline)
+        outline = np.stack([outline + step, np.roll(outline, -1, axis=0) - step], axis=1).reshape(-1, 2)
+    painter.fill(local(outline), colour, ramp=0.15, rounding_px=0.22 * thick_px)
+
+
 def _box(s0: float, s1: float, t0: float, t1: float) -> FloatArray:
     return np.array([[s0, t0], [s1, t0], [s1, t1], [s0, t1]])
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 
 from .camera_sampling import as_of_a_film
+from .extras import NO_EXTRAS
+from .extras_sampling import check_kinds, drawn_extras
 from .families import TRAINING, Families
 from .look_sampling import drawn_look
 from .renderer import Renderer, Sample
@@ -20,7 +23,12 @@ _OF_A_FILM = 0.12
 
 
 def draw(
-    seed: int, index: int, *, size_wh: tuple[int, int] = (256, 256), families: Families = TRAINING
+    seed: int,
+    index: int,
+    *,
+    size_wh: tuple[int, int] = (256, 256),
+    families: Families = TRAINING,
+    kinds: Collection[str] = (),
 ) -> Sample:
     """A random look at a random bend.
 
@@ -37,6 +45,13 @@ def draw(
         Of the image, px.
     families : Families
         The words that it may be drawn from: `TRAINING` or `HELD_OUT`.
+    kinds : collection of str, optional
+        Kinds of extras that may be drawn on top, of `KINDS`. Without any the sample is what it always was.
+
+    Raises
+    ------
+    BendtrackError
+        A kind that is not known, or kinds with words that are held out.
 
     Examples
     --------
@@ -44,6 +59,7 @@ def draw(
     >>> sample.image.shape, sample.keypoints_xy.shape
     ((256, 256, 3), (9, 2))
     """
+    check_kinds(kinds, families)
     rng = Rng(seed, index, 6)
     bend = rng.normal(0, 12) if rng.bernoulli(_NEAR_REST) else rng.uniform(*BEND_DEG)
     if rng.bernoulli(0.5):
@@ -55,4 +71,7 @@ def draw(
     film = rng.spawn(1)
     if film.bernoulli(_OF_A_FILM):
         look = replace(look, sensor=as_of_a_film(look.sensor, film))
-    return Renderer(look).frame(bend, pressure)
+    extras = NO_EXTRAS
+    if kinds:
+        look, extras = drawn_extras(look, bend, kinds, Rng(seed, index, 16))
+    return Renderer(look, extras=extras).frame(bend, pressure)

@@ -28,8 +28,8 @@ _ARMS_CROSS_DEG = 130
 # How much of the clamp, in half thicknesses, and how often.
 _CLAMP = 1.8
 _HELD_IN_SIGHT = 0.85
-# Colours nearer than this are hard to tell apart.
-_SEEN = 0.22
+# Colours nearer than this (`contrast`) are hard to tell apart.
+SEEN = 0.22
 
 
 def drawn_look(
@@ -95,7 +95,7 @@ def compose_look(
     body, placed = place(words, body, view)
     light = drawn_light(rng, body, size_wh)
     scene = _scene(words, surface, body, sensor, rng, size_wh)
-    if _contrast(surface.cap_colour, scene.colour, sensor.kind == "colour") < _SEEN:
+    if contrast(surface.cap_colour, scene.colour, sensor.kind == "colour") < SEEN:
         # A cap that cannot be told from the background would seem to shorten the body.
         surface = replace(
             surface, cap_colour=(0.90, 0.89, 0.85) if _luma(scene.colour) < 0.5 else (0.08, 0.08, 0.09)
@@ -195,7 +195,8 @@ def _arms_fit(body: Body, place: Place, view: View, size_wh: tuple[int, int], be
     return True
 
 
-def _background_colour(word: str, rng: Rng) -> Colour:
+def background_colour(word: str, rng: Rng) -> Colour:
+    """Colour of a background, by its word."""
     level = rng.uniform(0.55, 0.97)
     papers: tuple[Colour, ...] = (
         (level, level, 0.98 * level),
@@ -252,8 +253,8 @@ def _luma(colour: Colour) -> float:
     return 0.30 * colour[0] + 0.59 * colour[1] + 0.11 * colour[2]
 
 
-def _contrast(one: Colour, other: Colour, coloured: bool) -> float:
-    """How well the two are told apart; hue helps where the camera sees it."""
+def contrast(one: Colour, other: Colour, coloured: bool) -> float:
+    """How well two colours are told apart; hue helps where the camera sees it (`coloured`)."""
     luma = abs(_luma(one) - _luma(other))
     if not coloured:
         return luma
@@ -267,8 +268,8 @@ def _scene(
     unit = max(size_wh) / 256
     coloured = sensor.kind == "colour"
     best = max(
-        (_background_colour(words.background, rng) for _ in range(4)),
-        key=lambda colour: min(_contrast(colour, surface.colour, coloured), 0.3),
+        (background_colour(words.background, rng) for _ in range(4)),
+        key=lambda colour: min(contrast(colour, surface.colour, coloured), 0.3),
     )
     inks: tuple[Colour, ...] = (
         (0.55, 0.65, 0.80),
@@ -288,9 +289,9 @@ def _scene(
         if rng.bernoulli(0.55)
         else rng.any_hue(rng.uniform(0.4, 0.9), rng.uniform(0.3, 0.9))
     )
-    if _contrast(clamp, surface.colour, coloured) < _SEEN:
+    if contrast(clamp, surface.colour, coloured) < SEEN:
         # Where the body leaves the clamp must be seen.
-        clamp = max(metals, key=lambda metal: _contrast(metal, surface.colour, coloured))
+        clamp = max(metals, key=lambda metal: contrast(metal, surface.colour, coloured))
     tubes: tuple[Colour, ...] = (
         (0.85, 0.86, 0.86),
         (0.10, 0.10, 0.11),

@@ -15,11 +15,14 @@ from ...types import BoolArray, FloatArray, ImageArray
 from .backgrounds import background
 from .body_texture import draw_texture
 from .chain import DENSE, KEYPOINTS, Chain, Projection, opposite, turn_in_image_deg
-from .clamps import clamp, reach
+from .clamps import clamp, hub, reach
 from .distractors import Painter
 from .disturbances import CALM, Disturbances, load
 from .exposure import expose, light_map
+from .extras import NO_EXTRAS, Extras
+from .finish import BARE, Finish, draw_loose_ends
 from .look import Light, Look, Place
+from .metal import bracket
 from .paint import Shade, axes, curve
 from .warp import Layer, warped
 
@@ -50,6 +53,8 @@ class Sample:
         the screen positive; of a tilted plane not the bend that was asked for.
     look : Look
         What is shown; `look.words` are its families.
+    kinds : tuple of str
+        Kinds of extras that are shown, see `extras.KINDS`.
     """
 
     image: ImageArray
@@ -58,6 +63,7 @@ class Sample:
     visible: BoolArray
     angle_deg: float
     look: Look
+    kinds: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -95,6 +101,8 @@ class Renderer:
         place, and its bend in degrees.
     disturbances : Disturbances, optional
         What else goes on during the film, and whether clamp and camera give way.
+    extras : Extras, optional
+        What the body has on it and what is about it besides the look.
     """
 
     def __init__(
@@ -102,10 +110,12 @@ class Renderer:
         look: Look,
         bystanders: Sequence[tuple[Look, float]] = (),
         disturbances: Disturbances = CALM,
+        extras: Extras = NO_EXTRAS,
     ) -> None:
         self.look = look
         self._bystanders = bystanders
         self._disturbances = disturbances
+        self._extras = extras
         self._unit = max(look.size_wh) / 256
         self._projection = Projection(look.view, look.size_wh)
         self._background, self._texture = background(look.words.background, look.scene, look.size_wh)
@@ -176,7 +186,9 @@ class Renderer:
         fine = 2 if 2 * look.body.half_px * look.body.length_px < _LARGE_PX else 1
         layers: list[tuple[Layer | None, Layer | None]] = []
         for chain in chains:
-            texture = draw_texture(look.body, look.surface, look.light, chain, pressure, 0.6 + 0.7 * fine)
+            texture = draw_texture(
+                look.body, look.surface, look.light, chain, pressure, 0.6 + 0.7 * fine, self._extras.finish
+            )
             layers.append(warped(texture, chain, self._projection, look.size_wh, look.body.tip_over, fine))
         shadow = self._texture * self._shadow([layer for pair in layers for layer in pair if layer], places)
         image = cv2.multiply(image, cv2.cvtColor(shadow, cv2.COLOR_GRAY2RGB), dtype=cv2.CV_8U)
@@ -186,6 +198,9 @@ class Renderer:
             for layer in (behind, front):
                 if layer is not None:
                     _blend(image, layer, self._shade if layer is front and behind is not None else None)
+            if place is own and self._extras.finish is not BARE:
+                finish, colour = self._extras.finish, look.surface.colour
+                draw_loose_ends(finish, look.body, colour, image, chains[-1], self._projection)
             self._clamp(image, place, clamped if place is own else None)
         self._occlude(image, cover)
         hand_rng = np.random.default_rng([look.scene.seed, 11])
@@ -227,7 +242,7 @@ class Renderer:
         if shake_xy.any():
             midline, keypoints = midline + shake_xy, keypoints + shake_xy
             visible &= ((keypoints >= -0.5) & (keypoints <= np.array([width, height]) - 0.5)).all(axis=1)
-        return Sample(image, midline, keypoints, visible, angle, self.look)
+        return Sample(image, midline, keypoints, visible, angle, self.look, self._extras.kinds)
 
     def _disturb_behind(self, image: ImageArray, bend_deg: float, moment: float | None) -> None:
         """Tubes and cables that move a little, drawn in place over the background."""
@@ -240,11 +255,14 @@ class Renderer:
         painter = Painter(image, np.random.default_rng(0), self._unit, self._shade)
         self._disturbances.draw_cable(painter, moment)
 
-    def _lay_down(self, image: ImageArray, other: Look, bend_deg: float) -> None:
+    def _lay_down(
+        self, image: ImageArray, other: Look, bend_deg: float, finish: Finish = BARE, fine: int = 2
+    ) -> None:
         """Another look's body, drawn in place in this look's light."""
         chain = Chain(other.body, other.place, bend_deg)
-        texture = draw_texture(other.body, other.surface, self.look.light, chain, 0.0, 1.9)
-        for layer in warped(texture, chain, self._projection, self.look.size_wh, other.body.tip_over, 2):
+        light, size_wh = self.look.light, self.look.size_wh
+        texture = draw_texture(other.body, other.surface, light, chain, 0.0, 0.5 + 0.7 * fine, finish)
+        for layer in warped(texture, chain, self._projection, size_wh, other.body.tip_over, fine):
             if layer is not None:
                 _blend(image, layer, self._shade)
 
@@ -253,6 +271,11 @@ class Renderer:
         look, scene = self.look, self.look.scene
         rng = np.random.default_rng([scene.seed, 4])
         painter = Painter(self._background, rng, self._unit, self._shade)
+        # Extras draw from a generator of their own: without any, a look's images stay what they are.
+        own = Painter(
+            self._background, np.random.default_rng([self._extras.seed, 16]), self._unit, self._shade
+        )
+        self._extras.draw_sheet(own)
         for _ in range(scene.distractors):
             painter.any_distractor(rng.random(2) * look.size_wh, rng.uniform(0, 2 * np.pi))
         for place in self._places:
@@ -269,8 +292,14 @@ class Renderer:
             painter.hose(self._projection.to_image(curve(knots)), scene.tube_colour, scene.tube_px)
         if len(self._places) == 2:
             self._mount(painter, rng)
+        self._extras.draw_things(own)
         for other, bend_deg in self._bystanders:
             self._lay_down(self._background, other, bend_deg)
+        for bystander in self._extras.bystanders:
+            # Large ones are sharp enough with one sample a px.
+            fine = 2 if 2 * bystander.look.body.half_px * look.body.length_px < _LARGE_PX else 1
+            self._lay_down(self._background, bystander.look, bystander.bend_deg, bystander.finish, fine)
+        self._extras.draw_fittings(own, self._projection)
 
     def _mount(self, painter: Painter, rng: np.random.Generator) -> None:
         """What joins the clamps of two arms."""
@@ -300,13 +329,13 @@ class Renderer:
             return self._projection.to_image(np.asarray(place.base_xy) - 0.45 * along + st @ unit)
 
         rng = np.random.default_rng([look.scene.clamp_seed, 5])
-        clamp(
-            look.words.clamp,
-            look.scene.clamp_colour,
-            local,
-            thick,
-            Painter(image, rng, self._unit, None, cover),
-        )
+        painter = Painter(image, rng, self._unit, None, cover)
+        if self._extras.base == "bracket":
+            bracket(local, painter, heading)
+        elif self._extras.base == "hub":
+            hub(look.surface.colour, local, thick, painter)
+        else:
+            clamp(look.words.clamp, look.scene.clamp_colour, local, thick, painter)
 
     def _occlude(self, image: ImageArray, cover: ImageArray) -> None:
         """Things that lie over the body halfway through its bends, and do not move with it."""

@@ -1,0 +1,199 @@
+"""Bodies that may be taken for the actuator, laid where they hide nothing of it: a thick tube, a second arm.
+
+Both are of the actuator's own material. Neither has what makes an actuator: the tube has no free end, the arm is cut by
+the image's edge.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ...types import FloatArray
+from .body_texture import OUTER
+from .chain import Chain, Projection, tightest
+from .clamps import reach
+from .extras import Fitting
+from .look import Body, Look, Place
+from .look_sampling import TIGHTEST
+from .paint import axes
+from .rng import Rng
+
+TUBE_THICKNESS = (0.75, 1.35)
+"""Thickness of a tube over the body's: thinner ones are told from it by their thickness alone."""
+
+_ATTEMPTS = 10
+_ARM_ATTEMPTS = 30
+_POINTS = 40
+# How far two bodies keep apart, over the sum of their half thicknesses: a chamber reaches farther than the midline's.
+_APART = 1.25
+# Of a tube this much of the body's length is to be seen, and of an arm this much.
+_TUBE_SEEN, _ARM_SEEN = 0.45, 0.25
+
+
+def thick_tube(look: Look, bend_deg: float, rng: Rng) -> tuple[Look, float, tuple[Fitting, ...]] | None:
+    """A smooth tube of the body's own material, about as thick as the body.
+
+    It runs through the image, or out of the clamp, or lies between two fittings.
+
+    Parameters
+    ----------
+    look : Look
+        Of the actuator. The tube keeps clear of it over the range of its bends.
+    bend_deg : float
+        One more bend that it keeps clear of.
+    rng : Rng
+
+    Returns
+    -------
+    look, bend_deg, fittings
+        The tube's body, surface and place; its bend; what ends it within the image. None where none fits.
+    """
+    bends = {bend_deg, *np.linspace(*look.bend_deg, 5).tolist()}
+    chains = [Chain(look.body, look.place, bend) for bend in bends]
+    projection, (width, height) = Projection(look.view, look.size_wh), look.size_wh
+    unit = float(max(look.size_wh))
+    kind = rng.choice(("through", "through", "clamp", "between"))
+    for _ in range(_ATTEMPTS):
+        half = look.body.half_px * rng.uniform(*TUBE_THICKNESS)
+        heading = rng.uniform(0, 360)
+        if kind == "through":
+            # It comes in at the border, toward somewhere in the middle.
+            aim = np.array([width, height]) * (rng.uniform(0.1, 0.9), rng.uniform(0.1, 0.9))
+            along, _ = axes(np.radians(heading))
+            away = min(
+                (size * (way > 0) - at) / way
+                for at, way, size in zip(aim, along, (width, height), strict=True)
+                if way
+            )
+            start, heading, length = aim + (away + 3 * half) * along, heading + 180 + rng.normal(0, 12), 1.9 * unit
+        elif kind == "clamp":
+            along, _ = axes(np.radians(look.place.direction_deg))
+            back = 2 * look.body.half_px * (reach(look.words.clamp) - 0.3)
+            start = np.asarray(look.place.base_xy) - back * along
+            heading, length = look.place.direction_deg + 180 + rng.normal(0, 18), rng.uniform(0.6, 1.6) * unit
+            half *= 0.85
+        else:
+            start = np.array([width, height]) * (rng.uniform(0.05, 0.95), rng.uniform(0.05, 0.95))
+            length = look.body.length_px * rng.uniform(0.6, 1.3)
+        x, y = start.tolist()
+        body = _smooth(look.body, length, half, rng)
+        place = Place((x, y), heading, 1 if rng.bernoulli(0.5) else -1, None)
+        own_deg = rng.uniform(10, 110)
+        if tightest(body, own_deg) * half > TIGHTEST:
+            continue
+        tube = Chain(body, place, own_deg)
+        line = tube.point(np.linspace(0, tube.length_px, _POINTS))
+        seen_px = _seen(projection.to_image(line), look.size_wh).mean() * tube.length_px
+        # What comes out of the clamp is near the body's beginning.
+        first = 0.3 if kind == "clamp" else 0.0
+        if seen_px < _TUBE_SEEN * look.body.length_px or not all(
+            _clear(line, half, chain, look.body, first) for chain in chains
+        ):
+            continue
+        ends = [(np.asarray(tube.end_xy), tube.heading[-1])]
+        if kind == "between":
+            ends.append((start, tube.heading[0] + np.pi))
+        fittings = tuple(
+            Fitting((float(xy[0]), float(xy[1])), float(np.degrees(way)), 2 * half)
+            for xy, way in ends
+            if _seen(projection.to_image(xy[None]), look.size_wh)[0]
+        )
+        return replace(look, body=body, place=place), own_deg, fittings
+    return None
+
+
+def second_arm(look: Look, bend_deg: float, rng: Rng) -> tuple[Look, float] | None:
+    """Another arm of the same body, at rest or bent, whose tip is out of the image.
+
+    Parameters
+    ----------
+    look : Look
+        Of the labelled arm.
+    bend_deg : float
+        Of the labelled arm; its tip is in the image, or there is no second arm.
+    rng : Rng
+
+    Returns
+    -------
+    look, bend_deg
+        The arm's body, surface and place, and its bend. None where none fits.
+    """
+    own = Chain(look.body, look.place, bend_deg)
+    projection = Projection(look.view, look.size_wh)
+    if not _seen(projection.to_image(own.end_xy[None]), look.size_wh)[0]:
+        return None
+    thick = 2 * look.body.half_px
+    along, _ = axes(np.radians(look.place.direction_deg))
+    for _ in range(_ARM_ATTEMPTS):
+        x, y = (np.asarray(look.place.base_xy) - rng.uniform(0.5, 1.8) * thick * along).tolist()
+        place = Place(
+            (x, y),
+            look.place.direction_deg + 180 + rng.uniform(-80, 80),
+            1 if rng.bernoulli(0.5) else -1,
+            None,
+        )
+        # How long it is beyond the edge is not to be seen.
+        longer = rng.uniform(0.9, 2.2)
+        body = replace(
+            look.body,
+            seed=rng.seed(),
+            length_px=look.body.length_px * longer,
+            chambers=max(round(look.body.chambers * longer), 1),
+            windings=round(look.body.windings * longer),
+            cap="none",
+        )
+        own_deg = rng.normal(0, 5) if rng.bernoulli(0.45) else rng.uniform(20, 150)
+        if tightest(body, own_deg) * body.half_px * OUTER > TIGHTEST:
+            continue
+        arm = Chain(body, place, own_deg)
+        line = arm.point(np.linspace(0, arm.length_px, _POINTS))
+        seen = _seen(projection.to_image(line), look.size_wh, body.half_px)
+        seen_px = seen.mean() * arm.length_px
+        if seen[-1] or seen_px < max(_ARM_SEEN * look.body.length_px, 1.5 * thick):
+            continue
+        beyond_hub = line[np.linspace(0, arm.length_px, _POINTS) > 1.2 * thick]
+        if _clear(beyond_hub, body.half_px, own, look.body, 0.0):
+            return replace(look, body=body, place=place), own_deg
+    return None
+
+
+def _smooth(body: Body, length_px: float, half_px: float, rng: Rng) -> Body:
+    """A round tube, bent here or there."""
+    return replace(
+        body,
+        seed=rng.seed(),
+        length_px=length_px,
+        half_px=half_px,
+        stretch=0.0,
+        taper=0.0,
+        base_share=0.03,
+        tip_share=0.03,
+        centre=rng.uniform(0.1, 0.9),
+        focus=rng.uniform(0.0, 2.5),
+        spread=rng.uniform(0.2, 0.4),
+        s_turn_deg=rng.normal(0, 45),
+        valley="none",
+        depth=0.0,
+        swell=0.0,
+        rim=rng.uniform(0.85, 1.0),
+        windings=0,
+        layer=0.0,
+        cap="none",
+        tip_round=0.1,
+    )
+
+
+def _seen(image_xy: FloatArray, size_wh: tuple[int, int], beyond_px: float = 0.0) -> FloatArray:
+    """Which points are in the image, or up to `beyond_px` outside of it; (N,) bool."""
+    high = np.asarray(size_wh) - 0.5 + beyond_px
+    seen: FloatArray = ((image_xy > -0.5 - beyond_px) & (image_xy < high)).all(axis=1)
+    return seen
+
+
+def _clear(line: FloatArray, half_px: float, chain: Chain, body: Body, first: float) -> bool:
+    """Whether a line of another body keeps off a body from the share `first` of its length on."""
+    s = np.linspace(first, 1.0, _POINTS) * chain.length_px
+    distance = np.hypot(*(line[:, None] - chain.point(s)).transpose(2, 0, 1))
+    return float(distance.min(initial=np.inf)) > _APART * (half_px + body.half_px) + 2
