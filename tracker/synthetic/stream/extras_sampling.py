@@ -123,11 +123,12 @@ def _silicone(look: Look, rng: Rng) -> tuple[Look, Finish]:
     surface = replace(
         surface,
         colour=(level + warm, level, level - 0.02 - warm),
-        opacity=rng.uniform(0.66, 0.97),
-        cavity=rng.uniform(0.03, 0.28),
-        wrap=rng.uniform(0.5, 0.75),
-        gloss=rng.uniform(0.2, 0.8),
-        shininess=rng.log_uniform(25, 90),
+        # As cloudy and as glossy as translucent white is without extras: clearer bodies are held out.
+        opacity=rng.uniform(0.72, 0.96),
+        cavity=rng.uniform(0.03, 0.30),
+        wrap=rng.uniform(0.5, 0.7),
+        gloss=rng.uniform(0.1, 0.7),
+        shininess=rng.log_uniform(15, 60),
         grain=rng.uniform(0.01, 0.03),
         roughness=rng.uniform(0.0, 0.6),
         pattern="none",

@@ -187,7 +187,8 @@ def add_gloss(
             middle = _mirror_v(body, light, azimuth_deg, chain, s)
             broken = _smooth(noise_field(rng, (1, len(s)), 24)[0] * np.float32(0.8) + np.float32(0.65))
             wobble = np.float32(0.05) * noise_field(rng, (1, len(s)), 12)[0]
-            width = np.float32(rng.uniform(0.05, 0.11))
+            # As narrow as a px would be lost.
+            width = np.float32(max(rng.uniform(0.07, 0.2), 1.2 / body.half_px))
             away = (v - (middle + wobble)) / width
             gloss = gloss + np.float32(share * finish.streak) * broken * np.exp(-away * away)
     if finish.tape is not None and finish.tape.glare:
@@ -261,8 +262,9 @@ def _mirror_v(body: Body, light: Light, azimuth_deg: float, chain: Chain, s: Flo
     heading = chain.heading_at(s)
     outward = chain.side * (np.cos(azimuth) * np.sin(heading) - np.sin(azimuth) * np.cos(heading))
     half_way = np.cos(elevation) * outward / np.sqrt(2 + 2 * np.sin(elevation))
-    # Only the rim is round; the face is flat.
-    v: FloatArray = (np.sign(half_way) * (1 - body.rim) + body.rim * half_way).astype(np.float32)
+    # The face of a body with a narrow rim is a little round too: cast silicone has no flat sides.
+    rim = max(body.rim, 0.6)
+    v: FloatArray = (np.sign(half_way) * (1 - rim) + rim * half_way).astype(np.float32)
     return np.float32(0.96) * v
 
 

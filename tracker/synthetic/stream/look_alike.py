@@ -112,7 +112,7 @@ def second_arm(look: Look, bend_deg: float, rng: Rng) -> tuple[Look, float] | No
     look : Look
         Of the labelled arm.
     bend_deg : float
-        Of the labelled arm; its tip is in the image, or there is no second arm.
+        Of the labelled arm; its base and its tip are in the image, or there is no second arm.
     rng : Rng
 
     Returns
@@ -122,7 +122,7 @@ def second_arm(look: Look, bend_deg: float, rng: Rng) -> tuple[Look, float] | No
     """
     own = Chain(look.body, look.place, bend_deg)
     projection = Projection(look.view, look.size_wh)
-    if not _seen(projection.to_image(own.end_xy[None]), look.size_wh)[0]:
+    if not _seen(projection.to_image(own.point(own.keypoint_s[[0, -1]])), look.size_wh).all():
         return None
     thick = 2 * look.body.half_px
     along, _ = axes(np.radians(look.place.direction_deg))
@@ -160,7 +160,8 @@ def second_arm(look: Look, bend_deg: float, rng: Rng) -> tuple[Look, float] | No
 
 
 def _smooth(body: Body, length_px: float, half_px: float, rng: Rng) -> Body:
-    """A round tube, bent here or there."""
+    """A round tube, bent here or there, sometimes with the ribs of a corrugated hose."""
+    ribbed = rng.bernoulli(0.25)
     return replace(
         body,
         seed=rng.seed(),
@@ -174,8 +175,10 @@ def _smooth(body: Body, length_px: float, half_px: float, rng: Rng) -> Body:
         focus=rng.uniform(0.0, 2.5),
         spread=rng.uniform(0.2, 0.4),
         s_turn_deg=rng.normal(0, 45),
-        valley="none",
-        depth=0.0,
+        valley="wave" if ribbed else "none",
+        chambers=max(round(length_px / (half_px * rng.uniform(0.35, 0.6))), 3),
+        two_sided=True,
+        depth=rng.uniform(0.03, 0.08) if ribbed else 0.0,
         swell=0.0,
         rim=rng.uniform(0.85, 1.0),
         windings=0,

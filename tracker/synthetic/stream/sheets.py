@@ -97,11 +97,11 @@ def glaring_tape(painter: Painter, place: FloatArray, heading: float) -> None:
     # The lamp's reflection lies along the strip or across it, and is torn by creases.
     lean = np.float32(0.8 * (drawn[0] - 0.5))
     if drawn[1] < 0.6:
-        away = (v - np.float32(1.2 * drawn[2] - 0.6) - lean * u) / np.float32(0.12 + 0.3 * drawn[3])
+        away = (v - np.float32(1.2 * drawn[2] - 0.6) - lean * u) / np.float32(0.2 + 0.5 * drawn[3])
     else:
-        away = (u - np.float32(1.4 * drawn[2] - 0.7) - lean * v) / np.float32(0.06 + 0.2 * drawn[3])
-    torn = np.minimum(np.maximum(np.float32(0.75) + np.float32(0.45) * crinkle, 0), 1)
-    glare = np.float32(0.6 + 0.4 * drawn[4]) * np.exp(-away * away) * torn
+        away = (u - np.float32(1.4 * drawn[2] - 0.7) - lean * v) / np.float32(0.1 + 0.3 * drawn[3])
+    torn = np.minimum(np.maximum(np.float32(0.85) + np.float32(0.45) * crinkle, 0), 1)
+    glare = np.float32(0.75 + 0.45 * drawn[4]) * np.exp(-away * away) * torn
     level = 1 + np.float32(0.05) * crinkle
     mask = np.zeros(shape, np.uint8)
     cv2.fillPoly(mask, [fixed(outline - low)], 255, cv2.LINE_AA, 4)
