@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 import cv2
 import numpy as np
 
-from bendtrack.tracker.synthetic.stream import HELD_OUT, Renderer, draw, drawn_look, inflation_deg
+from bendtrack.tracker.synthetic.stream import HELD_OUT, KINDS, Renderer, draw, drawn_look, inflation_deg
 from bendtrack.tracker.types import FloatArray
 
 # Fields of noise are drawn at the first use of each.
@@ -51,12 +51,22 @@ def main() -> None:
     args = parser.parse_args()
     cv2.setNumThreads(1)
     for index in range(min(_WARM_UP, args.pictures)):
-        draw(args.seed + 1, index)
+        draw(args.seed + 1, index, kinds=KINDS)
     noise = np.random.default_rng(0).integers(0, 255, (256, 256, 3)).astype(np.uint8)
     blur = milliseconds([lambda: cv2.GaussianBlur(noise, (0, 0), 1.0)] * 200)
     print(f"Gaussian blur of a picture: {np.median(blur[:, 0]):.2f} ms")
-    drawn = milliseconds([lambda i=index: draw(args.seed, i) for index in range(args.pictures)])
-    print(line("256 x 256, every look", drawn))
+    # In turn, so that both meet the same machine.
+    both = milliseconds(
+        [
+            lambda i=index, k=kinds: draw(args.seed, i, kinds=k)
+            for index in range(args.pictures)
+            for kinds in ((), KINDS)
+        ]
+    )
+    print(line("256 x 256, every look", both[::2]))
+    print(line("256 x 256, with extras", both[1::2]))
+    wall, cpu = both[1::2].sum(axis=0) / both[::2].sum(axis=0) - 1
+    print(f"extras take {100 * wall:.0f} % longer, {100 * cpu:.0f} % by processor time")
     look = drawn_look(args.seed, size_wh=(640, 480), families=HELD_OUT)
     renderer = Renderer(look)
     renderer.frame(0)

@@ -71,7 +71,7 @@ def drawn_extras(look: Look, bend_deg: float, kinds: Collection[str], rng: Rng) 
     kinds : collection of str
         Those of `KINDS` that may be drawn. Leaving one out changes none of the others.
     rng : Rng
-        Each kind is drawn from a generator of its own, spawned from this one.
+        Says which kinds there are. Each kind is drawn from a generator of its own, spawned from this one.
 
     Returns
     -------
@@ -79,8 +79,8 @@ def drawn_extras(look: Look, bend_deg: float, kinds: Collection[str], rng: Rng) 
         With the body and surface that the extras ask for; where it lies is as before.
     extras : Extras
     """
-    own = {kind: rng.spawn(number) for number, kind in enumerate(KINDS)}
-    shown = [kind for kind in KINDS if own[kind].bernoulli(SHARES[kind]) and kind in kinds]
+    shown = [kind for kind in KINDS if rng.bernoulli(SHARES[kind]) and kind in kinds]
+    own = {kind: rng.spawn(KINDS.index(kind)) for kind in shown}
     # A tip is of one kind.
     for kind in [kind for kind in shown if kind in _TIPS][1:]:
         shown.remove(kind)

@@ -23,9 +23,9 @@ from .rng import Rng
 TUBE_THICKNESS = (0.75, 1.35)
 """Thickness of a tube over the body's: thinner ones are told from it by their thickness alone."""
 
-_ATTEMPTS = 10
-_ARM_ATTEMPTS = 30
-_POINTS = 40
+_ATTEMPTS = 6
+_ARM_ATTEMPTS = 16
+_POINTS = 24
 # How far two bodies keep apart, over the sum of their half thicknesses: a chamber reaches farther than the midline's.
 _APART = 1.25
 # Of a tube this much of the body's length is to be seen, and of an arm this much.
@@ -51,10 +51,12 @@ def thick_tube(look: Look, bend_deg: float, rng: Rng) -> tuple[Look, float, tupl
         The tube's body, surface and place; its bend; what ends it within the image. None where none fits.
     """
     bends = {bend_deg, *np.linspace(*look.bend_deg, 5).tolist()}
-    chains = [Chain(look.body, look.place, bend) for bend in bends]
+    kind = rng.choice(("through", "through", "clamp", "between"))
+    # What comes out of the clamp is near the body's beginning.
+    first = 0.3 if kind == "clamp" else 0.0
+    own = np.concatenate([_line(Chain(look.body, look.place, bend), first) for bend in bends])
     projection, (width, height) = Projection(look.view, look.size_wh), look.size_wh
     unit = float(max(look.size_wh))
-    kind = rng.choice(("through", "through", "clamp", "between"))
     for _ in range(_ATTEMPTS):
         half = look.body.half_px * rng.uniform(*TUBE_THICKNESS)
         heading = rng.uniform(0, 360)
@@ -67,7 +69,7 @@ def thick_tube(look: Look, bend_deg: float, rng: Rng) -> tuple[Look, float, tupl
                 for at, way, size in zip(aim, along, (width, height), strict=True)
                 if way
             )
-            start, heading, length = aim + (away + 3 * half) * along, heading + 180 + rng.normal(0, 12), 1.9 * unit
+            start, heading, length = aim + (away + 3 * half) * along, heading + 180 + rng.normal(0, 12), 1.7 * unit
         elif kind == "clamp":
             along, _ = axes(np.radians(look.place.direction_deg))
             back = 2 * look.body.half_px * (reach(look.words.clamp) - 0.3)
@@ -84,13 +86,9 @@ def thick_tube(look: Look, bend_deg: float, rng: Rng) -> tuple[Look, float, tupl
         if tightest(body, own_deg) * half > TIGHTEST:
             continue
         tube = Chain(body, place, own_deg)
-        line = tube.point(np.linspace(0, tube.length_px, _POINTS))
+        line = _line(tube)
         seen_px = _seen(projection.to_image(line), look.size_wh).mean() * tube.length_px
-        # What comes out of the clamp is near the body's beginning.
-        first = 0.3 if kind == "clamp" else 0.0
-        if seen_px < _TUBE_SEEN * look.body.length_px or not all(
-            _clear(line, half, chain, look.body, first) for chain in chains
-        ):
+        if seen_px < _TUBE_SEEN * look.body.length_px or not _clear(line, own, half + look.body.half_px):
             continue
         ends = [(np.asarray(tube.end_xy), tube.heading[-1])]
         if kind == "between":
@@ -124,7 +122,7 @@ def second_arm(look: Look, bend_deg: float, rng: Rng) -> tuple[Look, float] | No
     projection = Projection(look.view, look.size_wh)
     if not _seen(projection.to_image(own.point(own.keypoint_s[[0, -1]])), look.size_wh).all():
         return None
-    thick = 2 * look.body.half_px
+    own_line, thick = _line(own), 2 * look.body.half_px
     along, _ = axes(np.radians(look.place.direction_deg))
     for _ in range(_ARM_ATTEMPTS):
         x, y = (np.asarray(look.place.base_xy) - rng.uniform(0.5, 1.8) * thick * along).tolist()
@@ -135,7 +133,7 @@ def second_arm(look: Look, bend_deg: float, rng: Rng) -> tuple[Look, float] | No
             None,
         )
         # How long it is beyond the edge is not to be seen.
-        longer = rng.uniform(0.9, 2.2)
+        longer = rng.uniform(1.0, 2.4)
         body = replace(
             look.body,
             seed=rng.seed(),
@@ -148,13 +146,13 @@ def second_arm(look: Look, bend_deg: float, rng: Rng) -> tuple[Look, float] | No
         if tightest(body, own_deg) * body.half_px * OUTER > TIGHTEST:
             continue
         arm = Chain(body, place, own_deg)
-        line = arm.point(np.linspace(0, arm.length_px, _POINTS))
+        line = _line(arm)
         seen = _seen(projection.to_image(line), look.size_wh, body.half_px)
         seen_px = seen.mean() * arm.length_px
         if seen[-1] or seen_px < max(_ARM_SEEN * look.body.length_px, 1.5 * thick):
             continue
         beyond_hub = line[np.linspace(0, arm.length_px, _POINTS) > 1.2 * thick]
-        if _clear(beyond_hub, body.half_px, own, look.body, 0.0):
+        if _clear(beyond_hub, own_line, thick):
             return replace(look, body=body, place=place), own_deg
     return None
 
@@ -195,8 +193,12 @@ def _seen(image_xy: FloatArray, size_wh: tuple[int, int], beyond_px: float = 0.0
     return seen
 
 
-def _clear(line: FloatArray, half_px: float, chain: Chain, body: Body, first: float) -> bool:
-    """Whether a line of another body keeps off a body from the share `first` of its length on."""
-    s = np.linspace(first, 1.0, _POINTS) * chain.length_px
-    distance = np.hypot(*(line[:, None] - chain.point(s)).transpose(2, 0, 1))
-    return float(distance.min(initial=np.inf)) > _APART * (half_px + body.half_px) + 2
+def _line(chain: Chain, first: float = 0.0) -> FloatArray:
+    """Points along a midline from the share `first` of its length on, (N, 2) px."""
+    return chain.point(np.linspace(first, 1.0, _POINTS) * chain.length_px)
+
+
+def _clear(line: FloatArray, other: FloatArray, reach_px: float) -> bool:
+    """Whether two bodies keep apart, by points of their midlines and the sum of their half thicknesses."""
+    distance = np.hypot(line[:, None, 0] - other[:, 0], line[:, None, 1] - other[:, 1])
+    return float(distance.min(initial=np.inf)) > _APART * reach_px + 2

@@ -296,8 +296,8 @@ class Renderer:
         for other, bend_deg in self._bystanders:
             self._lay_down(self._background, other, bend_deg)
         for bystander in self._extras.bystanders:
-            # Large ones are sharp enough with one sample a px.
-            fine = 2 if 2 * bystander.look.body.half_px * look.body.length_px < _LARGE_PX else 1
+            other_body = bystander.look.body
+            fine = 2 if 2 * other_body.half_px * other_body.length_px < _LARGE_PX else 1
             self._lay_down(self._background, bystander.look, bystander.bend_deg, bystander.finish, fine)
         self._extras.draw_fittings(own, self._projection)
 
