@@ -20,11 +20,11 @@ SHARES = {
     "rounded tip": 0.15,
     "frayed tip": 0.06,
     "taped tip": 0.08,
-    "zip ties": 0.10,
-    "thick tube": 0.14,
+    "zip ties": 0.09,
+    "thick tube": 0.13,
     "bare metal": 0.16,
     "ruled paper": 0.10,
-    "tape glare": 0.10,
+    "tape glare": 0.09,
     "cut two-armed body": 0.16,
 }
 """How often each kind is tried; a third of the images have none. Tubes and arms do not fit everywhere: about 8 of 10
@@ -111,7 +111,7 @@ def drawn_extras(look: Look, bend_deg: float, kinds: Collection[str], rng: Rng) 
     if "ruled paper" in shown:
         extras = replace(extras, sheet=_sheet(look, own["ruled paper"]))
     if "tape glare" in shown:
-        extras = replace(extras, tapes=own["tape glare"].integer(1, 3))
+        extras = replace(extras, tapes=own["tape glare"].integer(1, 2))
     return look, replace(extras, kinds=tuple(shown))
 
 
@@ -207,7 +207,7 @@ def _metal(look: Look, extras: Extras, rng: Rng) -> Extras:
     """Metal behind the body, or a bracket that holds it, or both."""
     holds = look.words.clamp in _FOR_A_BRACKET and extras.base == "clamp" and look.place.second_arm is None
     holds = rng.bernoulli(0.6) and holds
-    pieces = rng.integer(0, 2) if holds else rng.integer(1, 3)
+    pieces = rng.integer(0, 1) if holds else rng.integer(1, 2)
     return replace(extras, base="bracket" if holds else extras.base, metals=pieces)
 
 

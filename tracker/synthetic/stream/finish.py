@@ -224,6 +224,8 @@ def draw_loose_ends(
     finish: Finish, body: Body, colour: Colour, image: ImageArray, chain: Chain, projection: Projection
 ) -> None:
     """Draw threads of a frayed tip and tails of ties into an image, in place: thin lines that hide nothing."""
+    if not finish.fray and not any(tie.tail for tie in finish.ties):
+        return
     rng = np.random.default_rng([body.seed, 15])
     if finish.fray:
         pale: Colour = tuple(0.7 * c + 0.3 for c in colour)  # type: ignore[assignment]

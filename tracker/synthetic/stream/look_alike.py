@@ -6,6 +6,7 @@ the image's edge.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -24,7 +25,7 @@ TUBE_THICKNESS = (0.75, 1.35)
 """Thickness of a tube over the body's: thinner ones are told from it by their thickness alone."""
 
 _ATTEMPTS = 6
-_ARM_ATTEMPTS = 16
+_ARM_ATTEMPTS = 20
 _POINTS = 24
 # How far two bodies keep apart, over the sum of their half thicknesses: a chamber reaches farther than the midline's.
 _APART = 1.25
@@ -143,6 +144,8 @@ def second_arm(look: Look, bend_deg: float, rng: Rng) -> tuple[Look, float] | No
             cap="none",
         )
         own_deg = rng.normal(0, 5) if rng.bernoulli(0.45) else rng.uniform(20, 150)
+        if _ends_inside(body, place, own_deg, look.size_wh):
+            continue
         if tightest(body, own_deg) * body.half_px * OUTER > TIGHTEST:
             continue
         arm = Chain(body, place, own_deg)
@@ -184,6 +187,16 @@ def _smooth(body: Body, length_px: float, half_px: float, rng: Rng) -> Body:
         cap="none",
         tip_round=0.1,
     )
+
+
+def _ends_inside(body: Body, place: Place, bend_deg: float, size_wh: tuple[int, int]) -> bool:
+    """Whether a body that bends evenly would end well inside the image: quicker than its chain."""
+    half_turn = math.radians(bend_deg) / 2
+    chord = body.length_px * (math.sin(half_turn) / half_turn if abs(half_turn) > 1e-6 else 1.0)
+    heading = math.radians(place.direction_deg) + place.side * half_turn
+    x, y = place.base_xy[0] + chord * math.cos(heading), place.base_xy[1] + chord * math.sin(heading)
+    margin = 0.1 * body.length_px
+    return margin < x < size_wh[0] - margin and margin < y < size_wh[1] - margin
 
 
 def _seen(image_xy: FloatArray, size_wh: tuple[int, int], beyond_px: float = 0.0) -> FloatArray:
