@@ -5,7 +5,7 @@ What is rendered, and how, is in `tracker.synthetic.stream`.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -53,9 +53,23 @@ class RenderedBatch(NamedTuple):
     body_px: FloatArray
 
 
-def render_batch(seed: int, indices: Sequence[int]) -> RenderedBatch:
-    """Render the stream's samples with these indices; each depends on (seed, index) only."""
-    samples = [draw(seed, index, size_wh=IMAGE_WH, families=TRAINING) for index in indices]
+def render_batch(seed: int, indices: Sequence[int], kinds: Collection[str] = ()) -> RenderedBatch:
+    """Render the stream's samples with these indices; each depends on its seed and index and on the kinds only.
+
+    Parameters
+    ----------
+    seed : int
+        Of the stream.
+    indices : sequence of int
+        Of the samples.
+    kinds : collection of str, optional
+        Kinds of extras that may be drawn on top of the looks, of `stream.KINDS`.
+
+    Returns
+    -------
+    RenderedBatch
+    """
+    samples = [draw(seed, index, size_wh=IMAGE_WH, families=TRAINING, kinds=kinds) for index in indices]
     return RenderedBatch(
         stacked([sample.image for sample in samples]),
         np.stack([sample.keypoints_xy for sample in samples]),

@@ -27,7 +27,7 @@ import torch
 
 from ...tracker.angle import AngleDefinition
 from ...tracker.errors import TrainingError, WeightsError
-from ...tracker.synthetic.stream import KEYPOINTS, Sample
+from ...tracker.synthetic.stream import KEYPOINTS, KINDS, Sample
 from ...tracker.types import BoolArray, Detections, FloatArray
 from ..data.prepared import PreparedFrame
 from ..data.synthetic import (
@@ -101,6 +101,9 @@ class PretrainingSettings:
         Decay of the exponential moving average of the weights.
     seed : int
         Every random draw follows from it; validation images are rendered with the next seed.
+    kinds : tuple of str
+        Kinds of extras that are drawn on top of the looks, of `stream.KINDS`. Validation images have none: their errors
+        compare with those of earlier networks.
     init : str
         "random", "actuator" (the shipped network), or the path of a network of ours; its `seed` must differ from this
         one's, so that the images are new to it.
@@ -125,6 +128,7 @@ class PretrainingSettings:
     cell_weight: float = 1.0
     average: float = 0.998
     seed: int = 0
+    kinds: tuple[str, ...] = KINDS
     init: str = "random"
 
     def __post_init__(self) -> None:
@@ -135,6 +139,9 @@ class PretrainingSettings:
             raise TrainingError(
                 f"expected pictures <= batch <= pool, got {self.pictures}, {self.batch}, {self.pool}"
             )
+        for kind in self.kinds:
+            if kind not in KINDS:
+                raise TrainingError(f"kinds: expected one of {', '.join(KINDS)}, got {kind!r}")
 
     @property
     def identity(self) -> str:
@@ -430,7 +437,10 @@ def _rendered(
             start, stop = stop, stop + settings.pictures
 
     def batches() -> Iterator[RenderedBatch]:
-        submitted = (pool.submit(render_batch, settings.seed, indices) for indices in batches_of_indices())
+        submitted = (
+            pool.submit(render_batch, settings.seed, indices, settings.kinds)
+            for indices in batches_of_indices()
+        )
         ahead = deque(islice(submitted, PREFETCH_STEPS * workers))
         while True:
             yield ahead.popleft().result()

@@ -20,8 +20,9 @@ from .paint import fixed, tone
 TIE_HEAD_V = 1.12
 """Where the middle of a tie's head lies that is seen from the side, in half thicknesses."""
 
-_WHOLE_STRAND = 0.22
-"""A frayed tip keeps this much about its midline, in half thicknesses: there the body ends where its truth says."""
+_WHOLE_STRAND, _STRAND_PX = 0.22, 1.6
+"""A frayed tip keeps this much about its midline, in half thicknesses and at least in px: there the body ends where its
+truth says."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +141,8 @@ def ends_px(finish: Finish, body: Body, chain: Chain, v: FloatArray) -> FloatArr
     # Between two strands there is a slit.
     slit = np.abs(v - strands).min(axis=1) < 0.045
     ragged = np.where(slit, np.maximum(ragged, 0.75), ragged)
-    ragged = np.where(np.abs(v[:, 0]) < _WHOLE_STRAND, 0.0, ragged)
+    kept = max(_WHOLE_STRAND, _STRAND_PX / float(chain.half_px_at(np.array(chain.length_px))))
+    ragged = np.where(np.abs(v[:, 0]) < kept, 0.0, ragged)
     missing: FloatArray = (chain.length_px * finish.fray * ragged)[:, None].astype(np.float32)
     return np.float32(chain.length_px) - missing
 

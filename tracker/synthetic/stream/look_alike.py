@@ -30,7 +30,9 @@ _POINTS = 24
 # How far two bodies keep apart, over the sum of their half thicknesses: a chamber reaches farther than the midline's.
 _APART = 1.25
 # Of a tube this much of the body's length is to be seen, and of an arm this much.
-_TUBE_SEEN, _ARM_SEEN = 0.45, 0.25
+_TUBE_SEEN, _ARM_SEEN = 0.45, 0.15
+# The beginning of an arm may lie under the hub or the clamp, this many thicknesses of it.
+_UNDER_HUB = 1.8
 
 
 def thick_tube(look: Look, bend_deg: float, rng: Rng) -> tuple[Look, float, tuple[Fitting, ...]] | None:
@@ -150,9 +152,10 @@ def second_arm(look: Look, bend_deg: float, rng: Rng) -> tuple[Look, float] | No
             continue
         arm = Chain(body, place, own_deg)
         line = _line(arm)
-        seen = _seen(projection.to_image(line), look.size_wh, body.half_px)
-        seen_px = seen.mean() * arm.length_px
-        if seen[-1] or seen_px < max(_ARM_SEEN * look.body.length_px, 1.5 * thick):
+        seen = _seen(projection.to_image(line), look.size_wh)
+        seen_px = seen.mean() * arm.length_px - _UNDER_HUB * thick
+        beyond = _seen(projection.to_image(line[-1:]), look.size_wh, body.half_px)
+        if beyond[0] or seen_px < _ARM_SEEN * look.body.length_px:
             continue
         beyond_hub = line[np.linspace(0, arm.length_px, _POINTS) > 1.2 * thick]
         if _clear(beyond_hub, own_line, thick):
