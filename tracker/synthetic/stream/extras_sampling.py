@@ -28,7 +28,7 @@ SHARES = {
     "cut two-armed body": 0.18,
 }
 """How often each kind is tried; a third of the images have none. Tubes and arms do not fit everywhere: about 8 of 10
-tubes and 6 of 10 arms do. Half of the pieces of metal are brackets, half of the arms leave a hub."""
+tubes and 7 of 10 arms do. Half of the pieces of metal are brackets, half of the arms leave a hub."""
 
 _TIPS = ("rounded tip", "frayed tip", "taped tip")
 # Clamps that a bracket may stand in for: what holds without being metal itself, such as fingers, stays.
@@ -183,12 +183,23 @@ def _tip(kind: str, look: Look, extras: Extras, rng: Rng) -> tuple[Look, Extras]
 
 def _ties(rng: Rng) -> tuple[Tie, ...]:
     """One to three ties, mostly near an end, where they hold a tube or a sleeve."""
-    colours: tuple[Colour, ...] = ((0.07, 0.07, 0.08), (0.90, 0.90, 0.87), (0.07, 0.07, 0.08), rng.any_hue(0.8, 0.7))
+    colours: tuple[Colour, ...] = (
+        (0.07, 0.07, 0.08),
+        (0.90, 0.90, 0.87),
+        (0.07, 0.07, 0.08),
+        rng.any_hue(0.8, 0.7),
+    )
     colour, width = rng.choice(colours), rng.uniform(0.22, 0.5)
     places: list[float] = []
     for _ in range(rng.integer(1, 3)):
         near = rng.uniform(0, 1)
-        at = rng.uniform(0.04, 0.22) if near < 0.5 else rng.uniform(0.22, 0.8) if near < 0.8 else rng.uniform(0.8, 0.93)
+        at = (
+            rng.uniform(0.04, 0.22)
+            if near < 0.5
+            else rng.uniform(0.22, 0.8)
+            if near < 0.8
+            else rng.uniform(0.8, 0.93)
+        )
         if all(abs(at - other) > 0.06 for other in places):
             places.append(at)
     return tuple(

@@ -72,7 +72,11 @@ def thick_tube(look: Look, bend_deg: float, rng: Rng) -> tuple[Look, float, tupl
                 for at, way, size in zip(aim, along, (width, height), strict=True)
                 if way
             )
-            start, heading, length = aim + (away + 3 * half) * along, heading + 180 + rng.normal(0, 12), 1.7 * unit
+            start, heading, length = (
+                aim + (away + 3 * half) * along,
+                heading + 180 + rng.normal(0, 12),
+                1.7 * unit,
+            )
         elif kind == "clamp":
             along, _ = axes(np.radians(look.place.direction_deg))
             back = 2 * look.body.half_px * (reach(look.words.clamp) - 0.3)

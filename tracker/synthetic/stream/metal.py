@@ -59,9 +59,9 @@ def brush(
     x = np.arange(low[0], high[0], dtype=np.float32)
     y = np.arange(low[1], high[1], dtype=np.float32)[:, None]
     reach = max(float(np.ptp(outline @ along)), 1.0)
-    u = (x * np.float32(along[0]) + y * np.float32(along[1]) - np.float32((outline @ along).min())) / np.float32(
-        reach
-    )
+    u = (
+        x * np.float32(along[0]) + y * np.float32(along[1]) - np.float32((outline @ along).min())
+    ) / np.float32(reach)
     v = x * np.float32(across[0]) + y * np.float32(across[1])
     # A highlight is wide across the brushing and narrow along it.
     level = np.float32(0.78) + np.float32(0.3 * (corners[0] - 0.5)) * (u - np.float32(0.5))
@@ -191,7 +191,9 @@ def _caliper(painter: Painter, place: FloatArray, heading: float) -> None:
     strokes(painter.image, np.stack([tick, ends], axis=1), (0.15, 0.15, 0.16))
     box = rectangle(start + 0.42 * length * along, along, 0.24 * length, 1.7 * width)
     painter.fill(box, (0.13, 0.13, 0.14))
-    painter.fill(rectangle(start + 0.42 * length * along, along, 0.15 * length, 0.9 * width), (0.62, 0.66, 0.58))
+    painter.fill(
+        rectangle(start + 0.42 * length * along, along, 0.15 * length, 0.9 * width), (0.62, 0.66, 0.58)
+    )
 
 
 def _cell(painter: Painter, place: FloatArray, heading: float) -> None:
@@ -200,7 +202,9 @@ def _cell(painter: Painter, place: FloatArray, heading: float) -> None:
     along, across = axes(heading)
     length, width = rng.uniform(34, 80) * unit, rng.uniform(18, 36) * unit
     colour = any_grey(rng)
-    brush(painter, rectangle(place, along, 1.25 * length, 1.2 * width), tuple(0.5 * c for c in colour), heading)  # type: ignore[arg-type]
+    brush(
+        painter, rectangle(place, along, 1.25 * length, 1.2 * width), tuple(0.5 * c for c in colour), heading
+    )  # type: ignore[arg-type]
     brush(painter, rectangle(place, along, length, width), colour, heading + np.pi / 2, painter.shade)
     for side in (-1, 1):
         cut = rectangle(place + side * 0.16 * length * along, along, 0.42 * length, 0.09 * width)
