@@ -36,6 +36,8 @@ from bendtrack.tracker.synthetic.stream import (
     drawn_look,
     inflation_deg,
 )
+from bendtrack.tracker.synthetic.stream.look_alike import second_arm, thick_tube
+from bendtrack.tracker.synthetic.stream.rng import Rng
 from bendtrack.tracker.types import FloatArray
 
 STREAM, OTHERS = 9000, 9500
@@ -71,6 +73,22 @@ def tube(look: Look, ends: list[Sample], index: int) -> Renderer | None:
     )
     own = replace(own, body=smooth, surface=look.surface)
     return Renderer(look, (), Disturbances(tubes=(Tube(own, (bend_deg, bend_deg + TUBE_BENDS_DEG)),)))
+
+
+def thick(look: Look, ends: list[Sample], index: int) -> Renderer | None:
+    """A tube of the body's own material and as thick as the body, that bends a little."""
+    other = thick_tube(look, look.bend_deg[1], Rng(OTHERS, index))
+    if other is None:
+        return None
+    own, bend_deg, _ = other
+    return Renderer(look, (), Disturbances(tubes=(Tube(own, (bend_deg, bend_deg + TUBE_BENDS_DEG)),)))
+
+
+def arm(look: Look, ends: list[Sample], index: int) -> Renderer | None:
+    """A second arm of the same body, at rest, that the image's edge cuts."""
+    alone = replace(look, place=replace(look.place, second_arm=None))
+    other = second_arm(alone, look.bend_deg[1], Rng(OTHERS, index))
+    return None if other is None else Renderer(alone, [other])
 
 
 def cable(look: Look, ends: list[Sample], index: int) -> Renderer | None:
@@ -115,6 +133,8 @@ def clamp(look: Look, ends: list[Sample], index: int) -> Renderer | None:
 TROUBLES: Mapping[str, tuple[str, Stage]] = {
     "body": ("another body at rest", another_body),
     "tube": ("a tube of the body's colour that bends a little", tube),
+    "thick": ("a tube as thick as the body that bends a little", thick),
+    "arm": ("a second arm at rest that the edge cuts", arm),
     "cable": ("a cable that sways", cable),
     "shadow": ("a shadow that passes", shadow),
     "hand": ("a hand that comes in once", hand),

@@ -12,16 +12,22 @@ import numpy as np
 import pytest
 import torch
 
-from bendtrack.models.data.synthetic import REFERENCE, rendered_frames, rendered_samples
+from bendtrack.models.data.synthetic import (
+    IMAGE_WH,
+    REFERENCE,
+    render_batch,
+    rendered_frames,
+    rendered_samples,
+)
 from bendtrack.models.export import build_beside
 from bendtrack.models.inference.metadata import WEIGHTS_FILE
 from bendtrack.models.networks.checkpoint import Checkpoint, best_device, load_checkpoint
-from bendtrack.models.pretraining.pretrainer import PretrainingSettings, pretrain, usual_settings
+from bendtrack.models.pretraining.pretrainer import PretrainingSettings, _rendered, pretrain, usual_settings
 from bendtrack.models.training.state import STATE_FILE
 from bendtrack.models.training.transfer import ENDS
 from bendtrack.tracker.angle import bending_angle
 from bendtrack.tracker.errors import TrainingError, WeightsError
-from bendtrack.tracker.synthetic.stream import KEYPOINTS, draw
+from bendtrack.tracker.synthetic.stream import KEYPOINTS, KINDS, draw
 
 TINY = PretrainingSettings(steps=4, pictures=2, pool=6, batch=4, patches=2, judged=2)
 
@@ -44,6 +50,26 @@ def test_a_sample_has_the_projects_keypoints() -> None:
     chain = ("root", "neck", "wrist", "nail")
     (frame,) = rendered_frames(3, range(1), chain, dict(zip(chain, ENDS, strict=True)))
     np.testing.assert_array_equal(frame.xy, sample.keypoints_xy[[0, 1, -2, -1]])
+
+
+def test_images_that_are_trained_on_have_extras_and_no_others_do() -> None:
+    settings = PretrainingSettings(pictures=4, batch=4)
+    assert settings.kinds == KINDS
+    without = replace(settings, kinds=())
+    assert settings.identity != without.identity
+    batches = []
+    for each in (settings, without):
+        with _rendered(each, 0, 4, 1) as rendered:
+            batches.append(next(rendered))
+    expected = [
+        np.stack([draw(0, index, size_wh=IMAGE_WH, kinds=kinds).image for index in range(4)])
+        for kinds in (KINDS, ())
+    ]
+    for batch, images in zip(batches, expected, strict=True):
+        np.testing.assert_array_equal(batch.images, images.transpose(0, 3, 1, 2))
+    assert (batches[0].images != batches[1].images).any()
+    np.testing.assert_array_equal(render_batch(0, range(4)).images, batches[1].images)
+    assert {sample.kinds for sample, _ in rendered_samples(0, range(6))} == {()}
 
 
 def test_reference_keypoints_are_neighbours() -> None:
@@ -146,7 +172,10 @@ def test_a_gpu_gets_larger_batches_and_a_larger_pool(monkeypatch: pytest.MonkeyP
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"steps": 0}, {"pictures": 0}, {"backbone": "resnet9"}, {"seed": -1}, {"batch": 8}, {"pool": 20}],
+    [
+        *({"steps": 0}, {"pictures": 0}, {"backbone": "resnet9"}, {"seed": -1}, {"batch": 8}, {"pool": 20}),
+        {"kinds": ("zip ties", "ribbons")},
+    ],
 )
 def test_settings_out_of_range_are_refused(wrong: dict) -> None:
     with pytest.raises(TrainingError, match="expected"):

@@ -22,7 +22,7 @@ KINDS = (
     *("wrinkled silicone", "rounded tip", "frayed tip", "taped tip", "zip ties"),
     *("thick tube", "bare metal", "ruled paper", "tape glare", "cut two-armed body"),
 )
-"""Kinds of extras. None has a word of a held-out family: no tint in translucent silicone, no specks, no pipe, no rod."""
+"""Kinds of extras. None has a word of a held-out family: no tint in translucent silicone, no specks, no pipe or rod."""
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import replace
 
-
 from ...errors import BendtrackError
 from .extras import KINDS, Bystander, Extras, Sheet
 from .families import TRAINING, Families

@@ -190,8 +190,8 @@ def add_gloss(
             broken = _smooth(noise_field(rng, (1, len(s)), 24)[0] * np.float32(0.8) + np.float32(0.65))
             wobble = np.float32(0.05) * noise_field(rng, (1, len(s)), 12)[0]
             # As narrow as a px would be lost.
-            width = np.float32(max(rng.uniform(0.07, 0.2), 1.2 / body.half_px))
-            away = (v - (middle + wobble)) / width
+            width = max(float(rng.uniform(0.07, 0.2)), 1.2 / body.half_px)
+            away = (v - (middle + wobble)) / np.float32(width)
             gloss = gloss + np.float32(share * finish.streak) * broken * np.exp(-away * away)
     if finish.tape is not None and finish.tape.glare:
         tape = finish.tape

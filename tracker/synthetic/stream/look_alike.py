@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...types import FloatArray
+from ...types import BoolArray, FloatArray
 from .body_texture import OUTER
 from .chain import Chain, Projection, tightest
 from .clamps import reach
@@ -21,7 +21,7 @@ from .look_sampling import TIGHTEST
 from .paint import axes
 from .rng import Rng
 
-TUBE_THICKNESS = (0.75, 1.35)
+TUBE_THICKNESS = (0.7, 1.35)
 """Thickness of a tube over the body's: thinner ones are told from it by their thickness alone."""
 
 _ATTEMPTS = 6
@@ -53,39 +53,14 @@ def thick_tube(look: Look, bend_deg: float, rng: Rng) -> tuple[Look, float, tupl
     look, bend_deg, fittings
         The tube's body, surface and place; its bend; what ends it within the image. None where none fits.
     """
-    bends = {bend_deg, *np.linspace(*look.bend_deg, 5).tolist()}
     kind = rng.choice(("through", "through", "clamp", "between"))
     # What comes out of the clamp is near the body's beginning.
     first = 0.3 if kind == "clamp" else 0.0
-    own = np.concatenate([_line(Chain(look.body, look.place, bend), first) for bend in bends])
-    projection, (width, height) = Projection(look.view, look.size_wh), look.size_wh
-    unit = float(max(look.size_wh))
+    own = np.concatenate([_line(chain, first) for chain in _chains(look, bend_deg)])
+    projection = Projection(look.view, look.size_wh)
     for _ in range(_ATTEMPTS):
         half = look.body.half_px * rng.uniform(*TUBE_THICKNESS)
-        heading = rng.uniform(0, 360)
-        if kind == "through":
-            # It comes in at the border, toward somewhere in the middle.
-            aim = np.array([width, height]) * (rng.uniform(0.1, 0.9), rng.uniform(0.1, 0.9))
-            along, _ = axes(np.radians(heading))
-            away = min(
-                (size * (way > 0) - at) / way
-                for at, way, size in zip(aim, along, (width, height), strict=True)
-                if way
-            )
-            start, heading, length = (
-                aim + (away + 3 * half) * along,
-                heading + 180 + rng.normal(0, 12),
-                1.7 * unit,
-            )
-        elif kind == "clamp":
-            along, _ = axes(np.radians(look.place.direction_deg))
-            back = 2 * look.body.half_px * (reach(look.words.clamp) - 0.3)
-            start = np.asarray(look.place.base_xy) - back * along
-            heading, length = look.place.direction_deg + 180 + rng.normal(0, 18), rng.uniform(0.6, 1.6) * unit
-            half *= 0.85
-        else:
-            start = np.array([width, height]) * (rng.uniform(0.05, 0.95), rng.uniform(0.05, 0.95))
-            length = look.body.length_px * rng.uniform(0.6, 1.3)
+        start, heading, length = _begin(kind, look, half, rng)
         x, y = start.tolist()
         body = _smooth(look.body, length, half, rng)
         place = Place((x, y), heading, 1 if rng.bernoulli(0.5) else -1, None)
@@ -115,9 +90,9 @@ def second_arm(look: Look, bend_deg: float, rng: Rng) -> tuple[Look, float] | No
     Parameters
     ----------
     look : Look
-        Of the labelled arm.
+        Of the labelled arm. The other one keeps clear of it over the range of its bends.
     bend_deg : float
-        Of the labelled arm; its base and its tip are in the image, or there is no second arm.
+        One more bend that it keeps clear of. Where base or tip of the labelled arm leave the image there is no other one.
     rng : Rng
 
     Returns
@@ -125,11 +100,11 @@ def second_arm(look: Look, bend_deg: float, rng: Rng) -> tuple[Look, float] | No
     look, bend_deg
         The arm's body, surface and place, and its bend. None where none fits.
     """
-    own = Chain(look.body, look.place, bend_deg)
-    projection = Projection(look.view, look.size_wh)
-    if not _seen(projection.to_image(own.point(own.keypoint_s[[0, -1]])), look.size_wh).all():
+    chains, projection = _chains(look, bend_deg), Projection(look.view, look.size_wh)
+    ends = np.concatenate([chain.point(chain.keypoint_s[[0, -1]]) for chain in chains])
+    if not _seen(projection.to_image(ends), look.size_wh).all():
         return None
-    own_line, thick = _line(own), 2 * look.body.half_px
+    own, thick = np.concatenate([_line(chain) for chain in chains]), 2 * look.body.half_px
     along, _ = axes(np.radians(look.place.direction_deg))
     for _ in range(_ARM_ATTEMPTS):
         x, y = (np.asarray(look.place.base_xy) - rng.uniform(0.5, 1.8) * thick * along).tolist()
@@ -162,9 +137,36 @@ def second_arm(look: Look, bend_deg: float, rng: Rng) -> tuple[Look, float] | No
         if beyond[0] or seen_px < _ARM_SEEN * look.body.length_px:
             continue
         beyond_hub = line[np.linspace(0, arm.length_px, _POINTS) > 1.2 * thick]
-        if _clear(beyond_hub, own_line, thick):
+        if _clear(beyond_hub, own, thick):
             return replace(look, body=body, place=place), own_deg
     return None
+
+
+def _chains(look: Look, bend_deg: float) -> list[Chain]:
+    """The labelled body at a bend and over the range of its bends."""
+    bends = {bend_deg, *np.linspace(*look.bend_deg, 5).tolist()}
+    return [Chain(look.body, look.place, bend) for bend in sorted(bends)]
+
+
+def _begin(kind: str, look: Look, half_px: float, rng: Rng) -> tuple[FloatArray, float, float]:
+    """Where a tube begins, (2,) px, its heading there, degrees, and its length, px."""
+    size, heading = np.asarray(look.size_wh, float), rng.uniform(0, 360)
+    if kind == "through":
+        # It comes in at the border, toward somewhere in the middle.
+        aim = size * (rng.uniform(0.1, 0.9), rng.uniform(0.1, 0.9))
+        along, _ = axes(np.radians(heading))
+        away = float(np.min(np.where(along > 0, size - aim, -aim) / np.where(along == 0, 1e-9, along)))
+        start: FloatArray = aim + (away + 3 * half_px) * along
+        return start, heading + 180 + rng.normal(0, 12), 1.7 * float(size.max())
+    if kind == "clamp":
+        base_deg = look.place.direction_deg
+        along, _ = axes(np.radians(base_deg))
+        start = (
+            np.asarray(look.place.base_xy) - 2 * look.body.half_px * (reach(look.words.clamp) - 0.3) * along
+        )
+        return start, base_deg + 180 + rng.normal(0, 18), rng.uniform(0.6, 1.6) * float(size.max())
+    start = size * (rng.uniform(0.05, 0.95), rng.uniform(0.05, 0.95))
+    return start, heading, look.body.length_px * rng.uniform(0.6, 1.3)
 
 
 def _smooth(body: Body, length_px: float, half_px: float, rng: Rng) -> Body:
@@ -206,11 +208,10 @@ def _ends_inside(body: Body, place: Place, bend_deg: float, size_wh: tuple[int, 
     return margin < x < size_wh[0] - margin and margin < y < size_wh[1] - margin
 
 
-def _seen(image_xy: FloatArray, size_wh: tuple[int, int], beyond_px: float = 0.0) -> FloatArray:
+def _seen(image_xy: FloatArray, size_wh: tuple[int, int], beyond_px: float = 0.0) -> BoolArray:
     """Which points are in the image, or up to `beyond_px` outside of it; (N,) bool."""
     high = np.asarray(size_wh) - 0.5 + beyond_px
-    seen: FloatArray = ((image_xy > -0.5 - beyond_px) & (image_xy < high)).all(axis=1)
-    return seen
+    return np.asarray(((image_xy > -0.5 - beyond_px) & (image_xy < high)).all(axis=1))
 
 
 def _line(chain: Chain, first: float = 0.0) -> FloatArray:

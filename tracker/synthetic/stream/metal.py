@@ -104,7 +104,7 @@ def bracket(local: Local, painter: Painter, heading: float) -> None:
     # The flange that is bent up toward the lens, seen along its edge.
     fold = rng.uniform(0.14, 0.35)
     flange = np.array([[-fold, low], [0, low], [0, high], [-fold, high]])
-    brush(painter, local(flange), tuple(min(1.18 * c, 1.0) for c in colour), heading + np.pi / 2)  # type: ignore[arg-type]
+    brush(painter, local(flange), _toned(colour, 1.18), heading + np.pi / 2)
     _edge(painter.image, local(np.array([[-fold, low], [-fold, high]])), 0.35)
     _edge(painter.image, local(np.array([[-0.03, low], [-0.03, high]])), 0.95)
     for t in np.linspace(low, high, int(rng.integers(2, 5)) + 1)[:-1] + (high - low) / 8:
@@ -140,7 +140,7 @@ def _plate(painter: Painter, place: FloatArray, heading: float) -> None:
     brush(painter, rectangle(place, along, length, width), colour, heading, painter.shade)
     side = place + 0.42 * width * across
     if rng.random() < 0.6:
-        brush(painter, rectangle(side, along, length, 0.16 * width), tuple(0.6 * c for c in colour), heading)  # type: ignore[arg-type]
+        brush(painter, rectangle(side, along, length, 0.16 * width), _toned(colour, 0.6), heading)
 
     def local(st: FloatArray) -> FloatArray:
         return place + st[:, :1] * along + st[:, 1:] * across
@@ -202,9 +202,7 @@ def _cell(painter: Painter, place: FloatArray, heading: float) -> None:
     along, across = axes(heading)
     length, width = rng.uniform(34, 80) * unit, rng.uniform(18, 36) * unit
     colour = any_grey(rng)
-    brush(
-        painter, rectangle(place, along, 1.25 * length, 1.2 * width), tuple(0.5 * c for c in colour), heading
-    )  # type: ignore[arg-type]
+    brush(painter, rectangle(place, along, 1.25 * length, 1.2 * width), _toned(colour, 0.5), heading)
     brush(painter, rectangle(place, along, length, width), colour, heading + np.pi / 2, painter.shade)
     for side in (-1, 1):
         cut = rectangle(place + side * 0.16 * length * along, along, 0.42 * length, 0.09 * width)
@@ -224,6 +222,11 @@ def _hole(painter: Painter, local: Local, at: FloatArray, radius: float) -> None
     for grow, shift, level in ((1.2, 0.12, 0.92), (1.0, 0.0, 0.07)):
         points = fixed(local(at + grow * circle) + shift * painter.unit)
         cv2.fillPoly(painter.image, [points], tone((level, level, level)), cv2.LINE_AA, 4)
+
+
+def _toned(colour: Colour, factor: float) -> Colour:
+    r, g, b = (min(factor * c, 1.0) for c in colour)
+    return r, g, b
 
 
 def _edge(image: ImageArray, line: FloatArray, level: float) -> None:
