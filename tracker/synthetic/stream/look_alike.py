@@ -92,7 +92,7 @@ def second_arm(look: Look, bend_deg: float, rng: Rng) -> tuple[Look, float] | No
     look : Look
         Of the labelled arm. The other one keeps clear of it over the range of its bends.
     bend_deg : float
-        One more bend that it keeps clear of. Where base or tip of the labelled arm leave the image there is no other one.
+        One more bend. Where base or tip of the labelled arm leave the image there is no other one.
     rng : Rng
 
     Returns
