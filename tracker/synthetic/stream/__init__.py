@@ -4,6 +4,7 @@
     look = drawn_look(1, size_wh=(640, 480), families=HELD_OUT)
     stage = Renderer(look)                     one look, for a video
     samples = [stage.frame(bend) for bend in inflation_deg(look, 100)]
+    sample = draw(seed=1, index=0, kinds=KINDS)     the same actuator with extras: what real footage shows besides
 
 Words that looks are drawn from. The two columns never mix, in any of the four families: a look that is held out
 has a material, a background, a shape and a clamp that pretraining has not seen.
@@ -16,6 +17,10 @@ has a material, a background, a shape and a clamp that pretraining has not seen.
     shapes       separated, fast and smooth chambers, bellows, fibre tube, PneuFlex,   sawtooth, knuckled
                  flat strip, ribbed tentacle
     clamps       block, vice, printed holder, clip, fingers                            pipe, boss head
+
+Extras (`KINDS`) come on top of looks of the training words, and never of held-out ones: wrinkled silicone, rounded,
+frayed and taped tips, zip ties, thick tubes, bare metal, ruled paper, tape glare, two-armed bodies that the edge cuts.
+They are drawn from generators of their own. Without any, and in every film, a look is what it was before there were any.
 """
 
 from .chain import KEYPOINTS

@@ -24,7 +24,7 @@ from .rng import Rng
 TUBE_THICKNESS = (0.7, 1.35)
 """Thickness of a tube over the body's: thinner ones are told from it by their thickness alone."""
 
-_ATTEMPTS = 6
+_ATTEMPTS = 8
 _ARM_ATTEMPTS = 20
 _POINTS = 24
 # How far two bodies keep apart, over the sum of their half thicknesses: a chamber reaches farther than the midline's.
@@ -53,7 +53,7 @@ def thick_tube(look: Look, bend_deg: float, rng: Rng) -> tuple[Look, float, tupl
     look, bend_deg, fittings
         The tube's body, surface and place; its bend; what ends it within the image. None where none fits.
     """
-    kind = rng.choice(("through", "through", "clamp", "between"))
+    kind = rng.choice(("through", "clamp", "between"))
     # What comes out of the clamp is near the body's beginning.
     first = 0.3 if kind == "clamp" else 0.0
     own = np.concatenate([_line(chain, first) for chain in _chains(look, bend_deg)])
@@ -164,14 +164,14 @@ def _begin(kind: str, look: Look, half_px: float, rng: Rng) -> tuple[FloatArray,
         start = (
             np.asarray(look.place.base_xy) - 2 * look.body.half_px * (reach(look.words.clamp) - 0.3) * along
         )
-        return start, base_deg + 180 + rng.normal(0, 18), rng.uniform(0.6, 1.6) * float(size.max())
+        return start, base_deg + 180 + rng.normal(0, 18), look.body.length_px * rng.uniform(0.6, 1.8)
     start = size * (rng.uniform(0.05, 0.95), rng.uniform(0.05, 0.95))
-    return start, heading, look.body.length_px * rng.uniform(0.6, 1.3)
+    return start, heading, look.body.length_px * rng.uniform(0.6, 1.6)
 
 
 def _smooth(body: Body, length_px: float, half_px: float, rng: Rng) -> Body:
     """A round tube, bent here or there, sometimes with the ribs of a corrugated hose."""
-    ribbed = rng.bernoulli(0.25)
+    ribbed = rng.bernoulli(0.4)
     return replace(
         body,
         seed=rng.seed(),
