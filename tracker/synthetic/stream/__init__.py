@@ -20,7 +20,7 @@ has a material, a background, a shape and a clamp that pretraining has not seen.
 
 Extras (`KINDS`) come on top of looks of the training words, and never of held-out ones: wrinkled silicone, rounded,
 frayed and taped tips, zip ties, thick tubes, bare metal, ruled paper, tape glare, two-armed bodies that the edge cuts.
-They are drawn from generators of their own. Without any, and in every film, a look is what it was before there were any.
+They are drawn from generators of their own. Without any, and in films, a look is what it was before.
 """
 
 from .chain import KEYPOINTS

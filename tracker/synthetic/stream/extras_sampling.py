@@ -24,7 +24,7 @@ SHARES = {
     "bare metal": 0.16,
     "ruled paper": 0.10,
     "tape glare": 0.09,
-    "cut two-armed body": 0.18,
+    "cut two-armed body": 0.16,
 }
 """How often each kind is tried; a third of the images have none. Tubes and arms do not fit everywhere: about 8 of 10
 tubes and 7 of 10 arms do. Half of the pieces of metal are brackets, half of the arms leave a hub."""

@@ -25,8 +25,7 @@ TUBE_THICKNESS = (0.7, 1.35)
 """Thickness of a tube over the body's: thinner ones are told from it by their thickness alone."""
 
 _ATTEMPTS = 8
-_ARM_ATTEMPTS = 20
-_POINTS = 24
+_ARM_ATTEMPTS = 18
 # How far two bodies keep apart, over the sum of their half thicknesses: a chamber reaches farther than the midline's.
 _APART = 1.25
 # Of a tube this much of the body's length is to be seen, and of an arm this much.
@@ -55,8 +54,8 @@ def thick_tube(look: Look, bend_deg: float, rng: Rng) -> tuple[Look, float, tupl
     """
     kind = rng.choice(("through", "clamp", "between"))
     # What comes out of the clamp is near the body's beginning.
-    first = 0.3 if kind == "clamp" else 0.0
-    own = np.concatenate([_line(chain, first) for chain in _chains(look, bend_deg)])
+    first_px = 0.3 * look.body.length_px if kind == "clamp" else 0.0
+    own = np.concatenate([_line(chain, first_px) for chain in _chains(look, bend_deg)])
     projection = Projection(look.view, look.size_wh)
     for _ in range(_ATTEMPTS):
         half = look.body.half_px * rng.uniform(*TUBE_THICKNESS)
@@ -69,7 +68,7 @@ def thick_tube(look: Look, bend_deg: float, rng: Rng) -> tuple[Look, float, tupl
             continue
         tube = Chain(body, place, own_deg)
         line = _line(tube)
-        seen_px = _seen(projection.to_image(line), look.size_wh).mean() * tube.length_px
+        seen_px = _seen_px(tube, line, projection, look.size_wh)
         if seen_px < _TUBE_SEEN * look.body.length_px or not _clear(line, own, half + look.body.half_px):
             continue
         ends = [(np.asarray(tube.end_xy), tube.heading[-1])]
@@ -116,6 +115,9 @@ def second_arm(look: Look, bend_deg: float, rng: Rng) -> tuple[Look, float] | No
         )
         # How long it is beyond the edge is not to be seen.
         longer = rng.uniform(1.0, 2.4)
+        own_deg = rng.normal(0, 5) if rng.bernoulli(0.45) else rng.uniform(20, 150)
+        if _ends_inside(place, own_deg, longer * look.body.length_px, look.size_wh):
+            continue
         body = replace(
             look.body,
             seed=rng.seed(),
@@ -124,20 +126,15 @@ def second_arm(look: Look, bend_deg: float, rng: Rng) -> tuple[Look, float] | No
             windings=round(look.body.windings * longer),
             cap="none",
         )
-        own_deg = rng.normal(0, 5) if rng.bernoulli(0.45) else rng.uniform(20, 150)
-        if _ends_inside(body, place, own_deg, look.size_wh):
-            continue
         if tightest(body, own_deg) * body.half_px * OUTER > TIGHTEST:
             continue
         arm = Chain(body, place, own_deg)
         line = _line(arm)
-        seen = _seen(projection.to_image(line), look.size_wh)
-        seen_px = seen.mean() * arm.length_px - _UNDER_HUB * thick
+        seen_px = _seen_px(arm, line, projection, look.size_wh) - _UNDER_HUB * thick
         beyond = _seen(projection.to_image(line[-1:]), look.size_wh, body.half_px)
         if beyond[0] or seen_px < _ARM_SEEN * look.body.length_px:
             continue
-        beyond_hub = line[np.linspace(0, arm.length_px, _POINTS) > 1.2 * thick]
-        if _clear(beyond_hub, own, thick):
+        if _clear(_line(arm, 1.2 * thick), own, thick):
             return replace(look, body=body, place=place), own_deg
     return None
 
@@ -198,13 +195,13 @@ def _smooth(body: Body, length_px: float, half_px: float, rng: Rng) -> Body:
     )
 
 
-def _ends_inside(body: Body, place: Place, bend_deg: float, size_wh: tuple[int, int]) -> bool:
+def _ends_inside(place: Place, bend_deg: float, length_px: float, size_wh: tuple[int, int]) -> bool:
     """Whether a body that bends evenly would end well inside the image: quicker than its chain."""
     half_turn = math.radians(bend_deg) / 2
-    chord = body.length_px * (math.sin(half_turn) / half_turn if abs(half_turn) > 1e-6 else 1.0)
+    chord = length_px * (math.sin(half_turn) / half_turn if abs(half_turn) > 1e-6 else 1.0)
     heading = math.radians(place.direction_deg) + place.side * half_turn
     x, y = place.base_xy[0] + chord * math.cos(heading), place.base_xy[1] + chord * math.sin(heading)
-    margin = 0.1 * body.length_px
+    margin = 0.1 * length_px
     return margin < x < size_wh[0] - margin and margin < y < size_wh[1] - margin
 
 
@@ -214,9 +211,15 @@ def _seen(image_xy: FloatArray, size_wh: tuple[int, int], beyond_px: float = 0.0
     return np.asarray(((image_xy > -0.5 - beyond_px) & (image_xy < high)).all(axis=1))
 
 
-def _line(chain: Chain, first: float = 0.0) -> FloatArray:
-    """Points along a midline from the share `first` of its length on, (N, 2) px."""
-    return chain.point(np.linspace(first, 1.0, _POINTS) * chain.length_px)
+def _line(chain: Chain, first_px: float = 0.0) -> FloatArray:
+    """Where the pieces of a midline begin, from `first_px` along it on, and its end, (N, 2) px: known already."""
+    return np.concatenate([chain.origin[chain.s >= first_px], chain.end_xy[None]])
+
+
+def _seen_px(chain: Chain, line: FloatArray, projection: Projection, size_wh: tuple[int, int]) -> float:
+    """Length of a midline that is in the image, px; `line` holds its whole `_line`."""
+    seen = _seen(projection.to_image(line), size_wh).astype(float)
+    return float(np.diff(np.append(chain.s, chain.length_px)) @ (seen[1:] + seen[:-1]) / 2)
 
 
 def _clear(line: FloatArray, other: FloatArray, reach_px: float) -> bool:

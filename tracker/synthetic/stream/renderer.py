@@ -261,7 +261,7 @@ class Renderer:
         """Another look's body, drawn in place in this look's light."""
         chain = Chain(other.body, other.place, bend_deg)
         light, size_wh = self.look.light, self.look.size_wh
-        texture = draw_texture(other.body, other.surface, light, chain, 0.0, 0.5 + 0.7 * fine, finish)
+        texture = draw_texture(other.body, other.surface, light, chain, 0.0, 0.95 * fine, finish)
         for layer in warped(texture, chain, self._projection, size_wh, other.body.tip_over, fine):
             if layer is not None:
                 _blend(image, layer, self._shade)
