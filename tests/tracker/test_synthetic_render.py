@@ -61,8 +61,8 @@ def pin_centres(monkeypatch):
     """Centroid of what dark pins, painted on the body's texture at the points of its ends, change in the image."""
     drawn = renderer_module.draw_texture
 
-    def with_pins(body, surface, light, chain, pressure, supersampling):
-        texture = drawn(body, surface, light, chain, pressure, supersampling)
+    def with_pins(body, surface, light, chain, pressure, supersampling, *finish):
+        texture = drawn(body, surface, light, chain, pressure, supersampling, *finish)
         v, u = np.indices(texture.rgba.shape[:2])
         s, t = texture.s0 + u / texture.per_px, (v / texture.per_half - INNER) * body.half_px
         # Not at the clamp's face or the body's end, which would cut them.
