@@ -137,6 +137,7 @@ def test_each_kind_occurs_in_about_its_share(sampled: list[tuple[Look, Look, Ext
     assert set(SHARES) == set(KINDS) == set(counts)
     fits = {"thick tube": 0.8, "cut two-armed body": 0.7}
     for kind, share in SHARES.items():
+        assert 0.03 < counts[kind] / len(sampled) < 0.25, kind
         expected = share * fits.get(kind, 1.0)
         assert abs(counts[kind] / len(sampled) - expected) < 3.5 * np.sqrt(expected / len(sampled)), kind
     none = sum(not extras.kinds for _, _, extras in sampled) / len(sampled)
@@ -342,6 +343,13 @@ def test_a_second_arm_is_cut_by_the_edge_and_the_labelled_one_is_whole() -> None
         assert look.place.second_arm is None
         hubs += extras.base == "hub"
     assert 1 <= hubs <= 11
+
+
+def test_a_second_arm_rests_or_bends(sampled: list[tuple[Look, Look, Extras]]) -> None:
+    arms = [extras.bystanders[0] for _, _, extras in sampled if "cut two-armed body" in extras.kinds]
+    at_rest = np.mean([abs(arm.bend_deg) <= 10 for arm in arms])
+    assert 0.2 < at_rest < 0.8
+    assert all(abs(arm.bend_deg) <= 10 or 20 <= arm.bend_deg <= 150 for arm in arms)
 
 
 def test_extras_have_no_word_of_a_held_out_family(sampled: list[tuple[Look, Look, Extras]]) -> None:

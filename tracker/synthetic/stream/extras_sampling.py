@@ -27,7 +27,7 @@ SHARES = {
     "cut two-armed body": 0.16,
 }
 """How often each kind is tried; a third of the images have none. Tubes and arms do not fit everywhere: about 8 of 10
-tubes and 7 of 10 arms do. Half of the pieces of metal are brackets, half of the arms leave a hub."""
+tubes and 6 of 10 arms do. Nearly half of the images with metal have a bracket, half of the arms leave a hub."""
 
 _TIPS = ("rounded tip", "frayed tip", "taped tip")
 # Clamps that a bracket may stand in for: what holds without being metal itself, such as fingers, stays.
