@@ -14,9 +14,9 @@ from ...types import FloatArray
 from .chain import Projection
 from .distractors import Painter
 from .finish import BARE, Finish
-from .look import Colour, Look
+from .look import Look
 from .metal import any_metal, fitting
-from .sheets import glaring_tape, ruled_sheet
+from .sheets import Sheet, glaring_tape, ruled_sheet
 
 KINDS = (
     *("wrinkled silicone", "rounded tip", "frayed tip", "taped tip", "zip ties"),
@@ -53,19 +53,6 @@ class Fitting:
 
 
 @dataclass(frozen=True)
-class Sheet:
-    """Paper with lines; see `sheets.ruled_sheet`."""
-
-    xy: tuple[float, float]
-    heading_deg: float
-    size_px: tuple[float, float]
-    colour: Colour
-    ink: Colour
-    pitch_px: float
-    ruling: str
-
-
-@dataclass(frozen=True)
 class Extras:
     """What an image shows besides its look.
 
@@ -99,11 +86,7 @@ class Extras:
     def draw_sheet(self, painter: Painter) -> None:
         """Draw the paper, in place."""
         if self.sheet is not None:
-            sheet = self.sheet
-            ruled_sheet(
-                painter, np.asarray(sheet.xy), float(np.radians(sheet.heading_deg)), sheet.size_px,
-                sheet.colour, sheet.ink, sheet.pitch_px, sheet.ruling,
-            )  # fmt: skip
+            ruled_sheet(painter, self.sheet)
 
     def draw_things(self, painter: Painter) -> None:
         """Draw metal and tape that lie about, in place."""

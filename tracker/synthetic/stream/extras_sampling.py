@@ -6,13 +6,14 @@ from collections.abc import Collection
 from dataclasses import replace
 
 from ...errors import BendtrackError
-from .extras import KINDS, Bystander, Extras, Sheet
+from .extras import KINDS, Bystander, Extras
 from .families import TRAINING, Families
 from .finish import TIE_HEAD_V, Finish, Tape, Tie
 from .look import Colour, Look
 from .look_alike import second_arm, thick_tube
 from .look_sampling import SEEN, background_colour, contrast
 from .rng import Rng
+from .sheets import Sheet
 
 SHARES = {
     "wrinkled silicone": 0.18,
@@ -166,7 +167,7 @@ def _tip(kind: str, look: Look, extras: Extras, rng: Rng) -> tuple[Look, Extras]
         coloured = look.sensor.kind == "colour"
         opacity = rng.uniform(0.85, 1.0)
         if contrast(colour, look.scene.colour, coloured) < SEEN:
-            # Clear tape: what cannot be told from the background would seem to shorten the body.
+            # Clear tape: what looks like the background would seem to shorten the body.
             colour, opacity = (0.93, 0.94, 0.95), 0.25
         tape = Tape(
             share=rng.uniform(0.06, 0.18),

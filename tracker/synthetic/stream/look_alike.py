@@ -22,7 +22,7 @@ from .paint import axes
 from .rng import Rng
 
 TUBE_THICKNESS = (0.7, 1.35)
-"""Thickness of a tube over the body's: thinner ones are told from it by their thickness alone."""
+"""Thickness of a tube over the body's: thinner ones differ from it by their thickness alone."""
 
 _ATTEMPTS = 8
 _ARM_ATTEMPTS = 18
@@ -212,7 +212,7 @@ def _seen(image_xy: FloatArray, size_wh: tuple[int, int], beyond_px: float = 0.0
 
 
 def _line(chain: Chain, first_px: float = 0.0) -> FloatArray:
-    """Where the pieces of a midline begin, from `first_px` along it on, and its end, (N, 2) px: known already."""
+    """Midline points from `first_px` along it on, and its end, (N, 2) px; the chain knows both already."""
     return np.concatenate([chain.origin[chain.s >= first_px], chain.end_xy[None]])
 
 

@@ -96,7 +96,7 @@ def compose_look(
     light = drawn_light(rng, body, size_wh)
     scene = _scene(words, surface, body, sensor, rng, size_wh)
     if contrast(surface.cap_colour, scene.colour, sensor.kind == "colour") < SEEN:
-        # A cap that cannot be told from the background would seem to shorten the body.
+        # A cap that looks like the background would seem to shorten the body.
         surface = replace(
             surface, cap_colour=(0.90, 0.89, 0.85) if _luma(scene.colour) < 0.5 else (0.08, 0.08, 0.09)
         )
@@ -254,7 +254,7 @@ def _luma(colour: Colour) -> float:
 
 
 def contrast(one: Colour, other: Colour, coloured: bool) -> float:
-    """How well two colours are told apart; hue helps where the camera sees it (`coloured`)."""
+    """How well two colours differ to the eye; hue helps where the camera sees it (`coloured`)."""
     luma = abs(_luma(one) - _luma(other))
     if not coloured:
         return luma

@@ -14,7 +14,7 @@ from .clamps import Local
 from .distractors import Painter
 from .look import Colour
 from .noise import noise_field
-from .paint import Shade, axes, fixed, rectangle, strokes, tone
+from .paint import Shade, axes, box_about, darken, fixed, lay_over, rectangle, strokes, tone
 
 _GREYS: tuple[Colour, ...] = (
     *((0.62, 0.63, 0.65), (0.52, 0.53, 0.55), (0.70, 0.71, 0.72)),
@@ -46,9 +46,7 @@ def brush(
         The shadow that it throws.
     """
     image, rng = painter.image, painter.rng
-    height, width = image.shape[:2]
-    low = np.maximum(np.floor(outline.min(axis=0)).astype(int) - 1, 0)
-    high = np.minimum(np.ceil(outline.max(axis=0)).astype(int) + 2, (width, height))
+    low, high = box_about(outline, image)
     corners = rng.random(6)
     if (high <= low).any():
         return
@@ -76,11 +74,7 @@ def brush(
     filled = cv2.merge([cv2.convertScaleAbs(level, alpha=255 * c) for c in colour])
     mask = np.zeros(shape, np.uint8)
     cv2.fillPoly(mask, [fixed(outline - low)], 255, cv2.LINE_AA, 4)
-    part = image[low[1] : high[1], low[0] : high[0]]
-    weight = cv2.cvtColor(mask, cv2.COLOR_GRAY2RGB)
-    part[:] = cv2.add(
-        cv2.multiply(filled, weight, scale=1 / 255), cv2.multiply(part, 255 - weight, scale=1 / 255)
-    )
+    lay_over(image[low[1] : high[1], low[0] : high[0]], filled, mask)
     if painter.cover is not None:
         cv2.fillPoly(painter.cover, [fixed(outline)], 255, cv2.LINE_AA, 4)
 
@@ -142,9 +136,7 @@ def _plate(painter: Painter, place: FloatArray, heading: float) -> None:
     if rng.random() < 0.6:
         brush(painter, rectangle(side, along, length, 0.16 * width), _toned(colour, 0.6), heading)
 
-    def local(st: FloatArray) -> FloatArray:
-        return place + st[:, :1] * along + st[:, 1:] * across
-
+    local = _about(place, heading)
     for s in (-0.36, 0.36) if rng.random() < 0.7 else ():
         for t in (-0.25, 0.18) if rng.random() < 0.5 else (0.0,):
             _hole(painter, local, np.array([s * length, t * width]), rng.uniform(2.0, 4.0) * unit)
@@ -184,7 +176,7 @@ def _caliper(painter: Painter, place: FloatArray, heading: float) -> None:
     for s, reach in ((0.0, 4.0), (rng.uniform(0.15, 0.5), 4.0)):
         root = start + s * length * along
         jaw = np.array([[0, -1.2], [1.1, -1.2], [1.0, 0.6], [0.15, reach], [0, reach]]) * width
-        brush(painter, root + jaw[:, :1] * along + jaw[:, 1:] * across, colour, heading, painter.shade)
+        brush(painter, _about(root, heading)(jaw), colour, heading, painter.shade)
     number = np.arange(int(0.45 * length / (2.4 * unit)))
     tick = place + (number[:, None] * 2.4 * unit) * along + 0.5 * width * across
     ends = tick - np.where(number % 5 == 0, 0.6, 0.35)[:, None] * width * across
@@ -208,11 +200,15 @@ def _cell(painter: Painter, place: FloatArray, heading: float) -> None:
         cut = rectangle(place + side * 0.16 * length * along, along, 0.42 * length, 0.09 * width)
         painter.fill(cut + side * 0.18 * width * across, (0.06, 0.06, 0.07))
 
-    def local(st: FloatArray) -> FloatArray:
-        return place + st[:, :1] * along + st[:, 1:] * across
-
+    local = _about(place, heading)
     for s in (-0.4, 0.4):
         _hole(painter, local, np.array([s * length, 0.0]), 0.14 * width)
+
+
+def _about(place: FloatArray, heading: float) -> Local:
+    """From (s, t) px along and across a heading (radians) about a place to px of the image."""
+    along, across = axes(heading)
+    return lambda st: place + st[:, :1] * along + st[:, 1:] * across
 
 
 def _hole(painter: Painter, local: Local, at: FloatArray, radius: float) -> None:
@@ -235,15 +231,10 @@ def _edge(image: ImageArray, line: FloatArray, level: float) -> None:
 
 def _throw_shadow(image: ImageArray, outline: FloatArray, shade: Shade) -> None:
     """Darken what lies under an outline's shadow, in place."""
-    spread = 3 * shade.softness_px + max(map(abs, shade.offset_xy))
-    height, width = image.shape[:2]
-    low = np.maximum(np.floor(outline.min(axis=0) - spread).astype(int), 0)
-    high = np.minimum(np.ceil(outline.max(axis=0) + spread).astype(int) + 1, (width, height))
+    low, high = box_about(outline, image, shade.spread_px)
     if (high <= low).any():
         return
     dark = np.zeros((int(high[1] - low[1]), int(high[0] - low[0])), np.uint8)
     cv2.fillPoly(dark, [fixed(outline - low + shade.offset_xy)], 255, cv2.LINE_8, 4)
     dark = cv2.blur(dark, (2 * int(shade.softness_px) + 1,) * 2)
-    left = cv2.cvtColor(255 - cv2.convertScaleAbs(dark, alpha=shade.depth), cv2.COLOR_GRAY2RGB)
-    part = image[low[1] : high[1], low[0] : high[0]]
-    part[:] = cv2.multiply(part, left, scale=1 / 255)
+    darken(image[low[1] : high[1], low[0] : high[0]], dark, shade.depth)

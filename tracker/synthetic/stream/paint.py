@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ...types import FloatArray, ImageArray
+from ...types import FloatArray, ImageArray, IntArray
 from .look import Colour
 from .noise import noise_field
 
@@ -19,6 +19,11 @@ class Shade:
     offset_xy: tuple[float, float]
     softness_px: float
     depth: float
+
+    @property
+    def spread_px(self) -> float:
+        """How far beyond the thing its shadow reaches."""
+        return 3 * self.softness_px + max(map(abs, self.offset_xy))
 
 
 def fixed(points: FloatArray) -> np.ndarray:
@@ -70,6 +75,28 @@ def strokes(image: ImageArray, lines: FloatArray, colour: Colour, width: int = 1
         cv2.polylines(image, list(fixed(lines)), False, tone(colour), width, cv2.LINE_AA, 4)
 
 
+def box_about(points: FloatArray, image: ImageArray, spread_px: float = 0.0) -> tuple[IntArray, IntArray]:
+    """First and last corner, (2,) px each, of the part of an image about points (N, 2); high <= low for none."""
+    low = np.maximum(np.floor(points.min(axis=0) - spread_px).astype(int) - 1, 0)
+    high = np.minimum(np.ceil(points.max(axis=0) + spread_px).astype(int) + 2, image.shape[1::-1])
+    return low, high
+
+
+def darken(part: ImageArray, dark: ImageArray, depth: float) -> None:
+    """Take a share of `depth` of the light from an image (h, w, 3), in place, where `dark` (h, w) is 255."""
+    left = cv2.cvtColor(255 - cv2.convertScaleAbs(dark, alpha=depth), cv2.COLOR_GRAY2RGB)
+    part[:] = cv2.multiply(part, left, scale=1 / 255)
+
+
+def lay_over(part: ImageArray, filled: ImageArray, mask: ImageArray) -> None:
+    """Blend another image (h, w, 3) into one, in place, by a mask (h, w) of 0 to 255."""
+    # In 8 bits: part + (filled - part) mask / 255.
+    weight = cv2.cvtColor(mask, cv2.COLOR_GRAY2RGB)
+    part[:] = cv2.add(
+        cv2.multiply(filled, weight, scale=1 / 255), cv2.multiply(part, 255 - weight, scale=1 / 255)
+    )
+
+
 def solid(
     image: ImageArray,
     outline: FloatArray | list[FloatArray],
@@ -92,12 +119,8 @@ def solid(
     cover : ndarray or None
         (H, W) uint8, gets what is covered by it.
     """
-    height, width = image.shape[:2]
-    spread = 3 * shade.softness_px + max(map(abs, shade.offset_xy)) if shade else 0.0
     outlines = outline if isinstance(outline, list) else [outline]
-    points = np.concatenate(outlines)
-    low = np.maximum(np.floor(points.min(axis=0) - spread).astype(int) - 1, 0)
-    high = np.minimum(np.ceil(points.max(axis=0) + spread).astype(int) + 2, (width, height))
+    low, high = box_about(np.concatenate(outlines), image, shade.spread_px if shade else 0.0)
     if (high <= low).any():
         return
     within = np.s_[low[1] : high[1], low[0] : high[0]]
@@ -110,11 +133,7 @@ def solid(
         dark = cv2.blur(
             cv2.blur(dark, (int(shade.softness_px) * 2 + 1,) * 2), (int(shade.softness_px) + 1,) * 2
         )
-        part[:] = cv2.multiply(
-            part,
-            cv2.cvtColor(255 - cv2.convertScaleAbs(dark, alpha=shade.depth), cv2.COLOR_GRAY2RGB),
-            scale=1 / 255,
-        )
+        darken(part, dark, shade.depth)
     plain = not ramp and not rounding_px
     mask = np.zeros(() if plain else shape, np.uint8)
     for each in outlines:
@@ -134,11 +153,7 @@ def solid(
         inner = _soft(mask, rounding_px)
         level *= np.float32(0.40) + np.float32(0.62) * inner
     filled = cv2.merge([cv2.convertScaleAbs(level, alpha=255 * c) for c in colour])
-    # Blend in 8 bits: part + (filled - part) mask / 255.
-    weight = cv2.cvtColor(mask, cv2.COLOR_GRAY2RGB)
-    part[:] = cv2.add(
-        cv2.multiply(filled, weight, scale=1 / 255), cv2.multiply(part, 255 - weight, scale=1 / 255)
-    )
+    lay_over(part, filled, mask)
 
 
 def _soft(mask: ImageArray, sigma_px: float) -> FloatArray:

@@ -21,7 +21,7 @@ from .disturbances import CALM, Disturbances, load
 from .exposure import expose, light_map
 from .extras import NO_EXTRAS, Extras
 from .finish import BARE, Finish, draw_loose_ends
-from .look import Light, Look, Place
+from .look import Body, Light, Look, Place
 from .metal import bracket
 from .paint import Shade, axes, curve
 from .warp import Layer, warped
@@ -182,8 +182,7 @@ class Renderer:
         chains = [Chain(look.body, place, bend_deg) for place in places]
         image = self._background.copy()
         self._disturb_behind(image, bend_deg, moment)
-        # A large body is sharp enough with one sample a px: the texture's own edge is smooth.
-        fine = 2 if 2 * look.body.half_px * look.body.length_px < _LARGE_PX else 1
+        fine = _samples_a_px(look.body)
         layers: list[tuple[Layer | None, Layer | None]] = []
         for chain in chains:
             texture = draw_texture(
@@ -296,8 +295,7 @@ class Renderer:
         for other, bend_deg in self._bystanders:
             self._lay_down(self._background, other, bend_deg)
         for bystander in self._extras.bystanders:
-            other_body = bystander.look.body
-            fine = 2 if 2 * other_body.half_px * other_body.length_px < _LARGE_PX else 1
+            fine = _samples_a_px(bystander.look.body)
             self._lay_down(self._background, bystander.look, bystander.bend_deg, bystander.finish, fine)
         self._extras.draw_fittings(own, self._projection)
 
@@ -394,6 +392,11 @@ def _shifted(image: ImageArray, shift_xy: FloatArray) -> ImageArray:
     size = image.shape[1], image.shape[0]
     moved = cv2.warpAffine(image, matrix, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT_101)
     return np.asarray(moved, np.uint8)
+
+
+def _samples_a_px(body: Body) -> int:
+    """Layer px for a px: a large body is sharp enough with one, since the texture's own edge is smooth."""
+    return 2 if 2 * body.half_px * body.length_px < _LARGE_PX else 1
 
 
 def _blend(image: ImageArray, layer: Layer, shade: Shade | None) -> None:

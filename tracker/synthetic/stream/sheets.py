@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 
@@ -9,7 +11,7 @@ from ...types import FloatArray
 from .distractors import Painter
 from .look import Colour
 from .noise import noise_field
-from .paint import axes, fixed, rectangle, solid, strokes
+from .paint import axes, box_about, fixed, rectangle, solid, strokes
 
 _TAPES: tuple[tuple[Colour, float], ...] = (
     *(((0.93, 0.94, 0.95), 0.22), ((0.93, 0.94, 0.95), 0.15), ((0.90, 0.89, 0.86), 0.95)),
@@ -19,25 +21,16 @@ _TAPES: tuple[tuple[Colour, float], ...] = (
 """Colour and opacity: clear twice, white, blue masking, black electrical, brown packing, duct, yellow masking."""
 
 
-def ruled_sheet(
-    painter: Painter,
-    place: FloatArray,
-    heading: float,
-    size_px: tuple[float, float],
-    colour: Colour,
-    ink: Colour,
-    pitch_px: float,
-    ruling: str,
-) -> None:
+@dataclass(frozen=True)
+class Sheet:
     """A sheet of paper with lines.
 
-    Parameters
+    Attributes
     ----------
-    painter : Painter
-    place : ndarray
-        (2,) its middle, px.
-    heading : float
-        Of its lines, radians.
+    xy : tuple of float
+        Its middle, px.
+    heading_deg : float
+        Of its lines, from +x toward +y.
     size_px : tuple of float
         Along and across the lines.
     colour, ink : Colour
@@ -47,9 +40,23 @@ def ruled_sheet(
     ruling : str
         "lines", "squares" or "graph"; graph paper has stronger lines at every fifth and tenth.
     """
+
+    xy: tuple[float, float]
+    heading_deg: float
+    size_px: tuple[float, float]
+    colour: Colour
+    ink: Colour
+    pitch_px: float
+    ruling: str
+
+
+def ruled_sheet(painter: Painter, sheet: Sheet) -> None:
+    """Draw a sheet, in place."""
     rng, image = painter.rng, painter.image
-    along, across = axes(heading)
-    length, width = size_px
+    place = np.asarray(sheet.xy)
+    along, across = axes(float(np.radians(sheet.heading_deg)))
+    length, width = sheet.size_px
+    colour, ink, pitch_px, ruling = sheet.colour, sheet.ink, sheet.pitch_px, sheet.ruling
     shade = painter.shade if rng.random() < 0.8 else None
     solid(image, rectangle(place, along, length, width), colour, rng, ramp=0.05, shade=shade)
 
@@ -83,9 +90,7 @@ def glaring_tape(painter: Painter, place: FloatArray, heading: float) -> None:
     colour, opacity = _TAPES[int(rng.integers(len(_TAPES)))]
     drawn = rng.random(8)
     outline = rectangle(place, along, length, width)
-    height_px, width_px = image.shape[:2]
-    low = np.maximum(np.floor(outline.min(axis=0)).astype(int) - 1, 0)
-    high = np.minimum(np.ceil(outline.max(axis=0)).astype(int) + 2, (width_px, height_px))
+    low, high = box_about(outline, image)
     if (high <= low).any():
         return
     shape = (int(high[1] - low[1]), int(high[0] - low[0]))
